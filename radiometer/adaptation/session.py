@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
@@ -284,12 +284,7 @@ def _stage(
     if on_screen and request.box is None and (request.screen is not None or request.simulate is None):
         return open_screen_stage(request, announce)
     if request.simulate is not None and request.box is None:
-        return _simulated(request, request.simulate)
+        return nullcontext((simulated_stage(protocol, request.simulate, seed=request.seed), ()))
     if request.simulate is None and request.box == SIMULATED_BOX:
         raise UsageError(f"the simulated box needs a simulated subject: --simulate {', '.join(BEHAVIOURS)}")
     return open_box_stage(request)
-
-
-@contextmanager
-def _simulated(request: RunRequest, behaviour: str) -> Iterator[tuple[Stage, Sequence[Check]]]:
-    yield simulated_stage(request.protocol, behaviour, seed=request.seed), ()

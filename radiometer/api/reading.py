@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from radiometer.analysis.reading.budget import PatchSituation
 from radiometer.analysis.reading.monte_carlo import propagate_distributions
-from radiometer.analysis.signal.situation import Situation, situation_of
+from radiometer.analysis.signal.situation import situation_of
 from radiometer.api.files import PathLike
 from radiometer.api.meter import PatchLike, as_patch
 from radiometer.api.result import Ask, Notice, Progress, unheard
@@ -191,7 +192,7 @@ def _one(
         waiting(f"{camera.identity.model} {camera.identity.serial} is back")
 
 
-def with_distribution(reading: Reading, situation: Situation) -> Reading:
+def with_distribution(reading: Reading, situation: PatchSituation) -> Reading:
     """Return the reading with its distribution from draws of all its inputs."""
     drawn = propagate_distributions(situation, np.random.default_rng(reading.sequence))
     return replace(reading, more={**reading.more, "monte_carlo": drawn.to_mapping(reading)})

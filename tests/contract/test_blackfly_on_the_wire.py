@@ -46,15 +46,11 @@ def assert_brightness(frame, in_force):
 
 
 def test_it_is_the_camera_of_its_preset(blackfly):
-    """Vendor, model and serial number come over the wire, and the preset is found by the model."""
+    """Vendor, model, number and preset come over the wire; what falsifies as shipped is off once it is opened."""
     with opened() as camera:
         assert (camera.identity.vendor, camera.identity.model) == ("FLIR", "BFS-U3-19S4M")
         assert camera.identity.serial == "22500077"
         assert camera.description.pixel_pitch_um == 4.5
-
-
-def test_what_falsifies_as_shipped_is_switched_off(blackfly):
-    """Automatic exposure, gamma and sharpening are on when it is shipped, and off once the driver has opened it."""
     with opened() as camera:
         switched = {f.feature.name for f in camera.session.hygiene if f.state == "switched_off"}
         assert {"ExposureAuto", "GainAuto", "GammaEnable", "SharpeningEnable"} <= switched
@@ -245,16 +241,12 @@ U_REL = 5 / np.sqrt(ELECTRONS * 160 * 120) + 0.02 / SIGNAL_DN  # five sigma of a
 
 
 def test_it_is_taken_for_a_real_blackfly(awkward):
-    """The family's own quirk file and the preset of the GigE twin are found, and its number is hexadecimal."""
+    """The family's quirks, the twin's preset, a hexadecimal number; formats that it does not have are not its own."""
     with opened() as camera:
         assert camera.session.quirks.load_default_user_set
         assert camera.session.quirks.mono16_left_aligned_bits == 12
         assert camera.description.pixel_pitch_um == 4.5
         assert camera.identity.serial == "0138C343"
-
-
-def test_it_offers_no_plain_mono12(awkward):
-    """Formats of the family that this model does not have are not taken for its own; one it has is in force."""
     with opened() as camera:
         assert camera.capabilities.pixel_formats == ("Mono8", "Mono10p", "Mono12Packed", "Mono12p", "Mono16")
         assert camera.settings.pixel_format in camera.capabilities.pixel_formats

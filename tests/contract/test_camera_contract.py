@@ -22,16 +22,12 @@ def settings(subject, camera):
     )
 
 
-def test_a_camera_fulfils_the_protocol(camera):
-    """The driver has every member of the protocol, and says who it is."""
+def test_a_camera_fulfils_the_protocol(camera, subject):
+    """The driver has every member, says who it is, and its bounds run from low to high, exposures in seconds."""
     assert isinstance(camera, Camera)
     assert camera.identity.vendor
     assert camera.identity.model
     assert camera.identity.serial
-
-
-def test_limits_are_ordered_and_in_si_units(camera, subject):
-    """Bounds run from low to high; exposures are in seconds."""
     limits = camera.capabilities
     assert 0 < limits.exposure_s[0] < 1e-3 < 1 < limits.exposure_s[1] <= 3600
     assert limits.gain_db[0] <= limits.gain_db[1]

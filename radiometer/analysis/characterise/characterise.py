@@ -136,9 +136,9 @@ def _characterised_gains(
     """Return every gain that can be characterised, the one nearest to 0 dB first."""
     found, refused = list[_AtGain](), list[MeasurementError]()
     for gain in sorted({s.settings.gain_db for s in bright}, key=abs):
-        own = ([s for s in groups if s.settings.gain_db == gain] for groups in (bright, dark))
+        lit, unlit = ([s for s in groups if s.settings.gain_db == gain] for groups in (bright, dark))
         try:
-            found.append(_at_gain(gain, *own, step_dn))
+            found.append(_at_gain(gain, lit, unlit, step_dn))
         except MeasurementError as error:
             refused.append(error)
     if not found:

@@ -216,11 +216,11 @@ def draw_curves(axes: Axes, estimates: Sequence[ResponseEstimate]) -> list[tuple
     Returns:
         Digital numbers drawn, the standard uncertainty at each, and the colour, of every curve.
     """
-    by_channel, drawn = len({one.method for one in estimates}) == 1, []
+    by_channel, drawn = len({one.method for one in estimates}) == 1, list[tuple[Array, Array, Any]]()
     for estimate in estimates:
         curve = estimate.curve
         low, high = curve.valid_dn or (0, curve.log_exposure.size - 1)
-        dn = np.arange(low, high + 1)
+        dn = np.arange(low, high + 1, dtype=np.float64)
         g, u = curve.log_exposure[low : high + 1], curve.u_log_exposure[low : high + 1]
         colour = _COLOURS.get(curve.channel) if by_channel else None
         (line,) = axes.plot(dn, g, label=f"{estimate.method}, {curve.channel}", color=colour, linewidth=1.2)

@@ -18,8 +18,9 @@ average, by what the truncated normal distribution states, which is subtracted.
 
 What the compiled functions share:
     pattern: Bits of the frames used: a set of frames.
-    frames: float64, shape (n, 9): relative exposure t, variance c of x without light, x at clipping, its sigma there,
-        common uncertainty of the dark level, c at clipping, x where black cuts the frame off, c there, t^0.35.
+    frames: float64, shape (n, 9). First the relative exposure t, the variance c of x without light, x at clipping, its
+        sigma there and the common uncertainty of the dark level. Then c at clipping, x where black cuts the frame off,
+        c there, and t^0.35.
     kappa: Shot noise variance per unit of x.
     gains: Gain factor of every frame.
     quantisation: Variance (dx/dM)²/12 over √x, for `from_root_table`; None for a linear sensor, where it is part of

@@ -20,12 +20,16 @@ DUTY_TOLERANCE = 0.004  # an 8 ms window cuts one of its 62 or 125 PWM periods s
 
 
 def test_it_is_a_light_box_and_dark_after_opening(rig):
-    """The driver offers the whole protocol, says who it is, and lights no channel by opening the box."""
+    """The whole protocol, dark after opening; supply and temperature within the steps of the ADC (20 mV, 0.5 °C)."""
     assert isinstance(rig.box, LightBox)
     assert rig.box.identity.protocol_version == 2
     assert list(rig.box.channels) == ["bleach", "spot", "spot_red", "fixation", "spot_green", "field"]
     assert [rig.duty(name) for name in rig.box.channels] == [0] * 6
     assert all(rig.box.read_channel(name).mode is ChannelMode.OFF for name in rig.box.channels)
+    time.sleep(0.1)
+    status = rig.box.status()
+    assert status.supply_v == pytest.approx(12.0, abs=0.04)
+    assert status.temperature_celsius == pytest.approx(25.0, abs=0.6)
 
 
 @pytest.mark.parametrize("channel", ["bleach", "spot", "spot_red"])
@@ -72,16 +76,12 @@ def test_ramp_arrives_and_stays(rig):
 
 
 def test_off_darkens_one_channel_only(rig):
-    """Darkening a channel leaves the others."""
+    """Darkening a channel leaves the others; after safe() every pin is low."""
     rig.box.set_level("spot", DriveLevel(30000))
     rig.box.set_level("spot_red", DriveLevel(30000))
     rig.box.off("spot")
     assert rig.wait_until(lambda: rig.duty("spot") == 0)
     assert rig.duty("spot_red") > 0.4
-
-
-def test_safe_darkens_everything(rig):
-    """After safe() every pin is low."""
     for name in ("field", "spot", "spot_green", "fixation"):
         rig.box.set_level(name, DriveLevel(10000))
     rig.box.safe()
@@ -105,14 +105,6 @@ def test_button_press_and_release_are_reported_in_order(rig):
     assert [event.pressed for event in events] == [True, False]
     assert events[0].time_s < events[1].time_s
     assert events[1].number == events[0].number + 1
-
-
-def test_status_reports_supply_and_temperature(rig):
-    """Supply and temperature come within the ADC's steps (20 mV and 0.5 °C)."""
-    time.sleep(0.1)
-    status = rig.box.status()
-    assert status.supply_v == pytest.approx(12.0, abs=0.04)
-    assert status.temperature_celsius == pytest.approx(25.0, abs=0.6)
 
 
 def test_what_cannot_be_set_is_refused_and_changes_nothing(rig):

@@ -73,7 +73,7 @@ def test_the_dark_signal_of_a_warm_camera_is_not_metered_as_light():
 
 
 def test_reach_is_judged_above_the_black_level():
-    """Codes just above and just below black plus the lowest and the clipping signal, at a black level of 400 DN."""
+    """About black plus the lowest and the clipping signal; an unknown black level is none; dark frames say nothing."""
     about = CameraPreset.shipped("BFS-U3-19S4M").camera
     window = ExposureWindow.of(about, 0.0, 400.0)
     edges = [400 + window.lowest_dn - 2, 400 + window.lowest_dn + 2, 400 + 0.99 * window.clipping_dn, 4095]
@@ -83,18 +83,10 @@ def test_reach_is_judged_above_the_black_level():
     assert reach.cover.tolist() == [[0, 1, 1, 0]]
     assert reach.below_noise.tolist() == [[True, False, False, False]]
     assert reach.saturated.tolist() == [[False, False, False, True]]
-
-
-def test_a_black_level_that_is_not_known_is_none():
-    """The first code at or above the lowest signal counts, the one below it does not."""
     about = CameraPreset.shipped("BFS-U3-19S4M").camera
     first = math.ceil(ExposureWindow.of(about, 0.0, 0.0).lowest_dn)
     frame = Frame(np.array([[first - 1, first]], dtype=np.uint16), 12, FrameSettings(exposure_s=0.01))
     assert assess_reach([frame], about).cover.tolist() == [[0, 1]]
-
-
-def test_dark_frames_say_nothing_of_the_reach():
-    """Of a lit frame and a dark one the lit one counts; of dark ones alone there is nothing to be stated."""
     dn = np.full((4, 6), 2000, np.uint16)
     about = camera_before(CHART).description
     lit = Frame(dn, 12, FrameSettings(0.01, black_level_dn=64.0))
@@ -106,17 +98,13 @@ def test_dark_frames_say_nothing_of_the_reach():
 
 
 def test_five_decades_are_well_exposed_twice():
-    """The bracket that follows from the scene reaches every pixel of the chart."""
+    """The bracket that follows from the scene reaches every pixel of the chart; one patch takes two frames."""
     camera = camera_before(CHART)
     request = BracketRequest()
     frames = list(take_plan(camera, plan_for_scene(camera, request), request))
     reach = assess_reach(frames, camera.description)
     for patch in camera.scene.patches(100, 40):
         assert reach.cover[patch.patch.slices].min() >= 2
-
-
-def test_a_region_needs_only_its_own_exposures():
-    """One patch takes two frames, whatever surrounds it."""
     camera = camera_before(CHART)
     patch = camera.scene.patches(100, 40)[4].patch
     plan = plan_for_scene(camera, BracketRequest(region=patch))

@@ -28,37 +28,34 @@ LIMITS_S = (11e-6, 30.0)
 WINDOW = ExposureWindow.of(CAMERA, 0.0, 64.0)
 
 
-def cover_of(rates, exposures):
-    """Count in how many exposures each rate lies inside the window."""
-    signal = np.multiply.outer(np.asarray(exposures), rates)
-    return ((signal >= WINDOW.lowest_dn) & (signal <= WINDOW.highest_dn * (1 + 1e-6))).sum(axis=0)
+def cover_of(rates, exposures, gain_db=0.0):
+    """Count in how many exposures each rate, amplified by hand, lies inside the window of a gain."""
+    window = ExposureWindow.of(CAMERA, gain_db, 64.0)
+    signal = np.multiply.outer(np.asarray(exposures), rates * 10 ** (gain_db / 20))
+    return ((signal >= window.lowest_dn) & (signal <= window.highest_dn * (1 + 1e-6))).sum(axis=0)
 
 
 def test_the_window_begins_where_signal_over_noise_reaches_its_minimum():
-    """At the lowest signal the photon-transfer law gives just the minimum signal-to-noise ratio."""
+    """From the least signal-to-noise ratio by the photon-transfer law to the earlier of full well and converter."""
     electrons = WINDOW.lowest_dn * 2.6
     noise_e = math.sqrt(electrons + 2.4**2 + 2.6**2 / 12)
     assert electrons / noise_e == pytest.approx(10.0, rel=1e-9)
     assert WINDOW.highest_dn == pytest.approx(0.88 * min(4095 - 64, WINDOW.clipping_dn))
-
-
-def test_the_window_ends_below_the_earlier_of_full_well_and_converter():
-    """A small full well clips before the converter does."""
     small = CAMERA.model_copy(update={"full_well_e": 2600.0})
     assert ExposureWindow.of(small, 0.0, 64.0).clipping_dn == pytest.approx(1000.0)
     assert ExposureWindow.of(CAMERA, 20.0, 64.0).clipping_dn == pytest.approx(4095 - 64)
 
 
 @settings(deadline=None, max_examples=200)
-@example([14.7421875, 14.74609375])
-@given(st.lists(st.floats(math.log(30.0), math.log(3e7)), min_size=1, max_size=40))
-def test_every_reachable_pixel_is_well_exposed_twice(log_rates):
-    """Whatever the scene, each pixel lies between noise floor and clipping in at least two exposures."""
+@example([14.7421875, 14.74609375], 0.0)
+@given(st.lists(st.floats(math.log(30.0), math.log(3e6)), min_size=1, max_size=40), st.sampled_from([0.0, 6.0, 20.0]))
+def test_every_reachable_pixel_is_well_exposed_twice(log_rates, gain_db):
+    """Whatever scene and gain, each pixel is between noise floor and clipping in at least two exposures."""
     rates = np.exp(np.array(log_rates))
-    plan = plan_exposures(rates, WINDOW, 0.0, LIMITS_S)
+    plan = plan_exposures(rates, ExposureWindow.of(CAMERA, gain_db, 64.0), gain_db, LIMITS_S)
     assert plan.too_bright == 0
     assert plan.too_dark == 0
-    assert cover_of(rates, plan.exposures_s).min() >= 2
+    assert cover_of(rates, plan.exposures_s, gain_db).min() >= 2
 
 
 def test_the_plan_holds_no_frame_that_could_be_left_out():
@@ -71,28 +68,20 @@ def test_the_plan_holds_no_frame_that_could_be_left_out():
 
 
 def test_two_separate_brightnesses_need_no_exposures_between():
-    """A bright and a dark patch five decades apart take four frames; the empty range between takes none."""
+    """Two brightnesses need no exposures between; those taken are far enough apart to teach the response."""
     plan = plan_exposures(np.array([100.0, 1e7]), WINDOW, 0.0, LIMITS_S)
     assert len(plan.exposures_s) == 4
-
-
-def test_exposures_are_far_enough_apart_to_teach_the_response():
-    """No two exposures of a plan are nearer than half a stop."""
     exposures = plan_exposures(np.geomspace(100.0, 1e7, 500), WINDOW, 0.0, LIMITS_S).exposures_s
     assert np.diff(np.log2(exposures)).min() >= 0.5 - 1e-9
 
 
 def test_unreachable_pixels_are_counted_and_do_not_hold_up_the_rest():
-    """Pixels beyond the camera's limits are reported by number."""
+    """Pixels beyond the limits are reported by number; a plan takes no longer than permitted, or says it was cut."""
     rates = np.array([1e12, 1e12, 1000.0, 1e-3, 0.0, np.inf])
     plan = plan_exposures(rates, WINDOW, 0.0, LIMITS_S)
     assert plan.too_bright == 3
     assert plan.too_dark == 2
     assert cover_of(np.array([1000.0]), plan.exposures_s)[0] == 2
-
-
-def test_the_time_limit_gives_up_the_longest_exposures_and_says_so():
-    """A plan never takes longer than permitted; that it was cut is stated."""
     rates = np.geomspace(20.0, 1e6, 100)
     whole = plan_exposures(rates, WINDOW, 0.0, LIMITS_S)
     cut = plan_exposures(rates, WINDOW, 0.0, LIMITS_S, time_limit_s=whole.total_s / 3)
@@ -101,19 +90,8 @@ def test_the_time_limit_gives_up_the_longest_exposures_and_says_so():
     assert cut.total_s <= whole.total_s / 3
 
 
-@pytest.mark.parametrize("gain_db", [0.0, 6.0, 20.0])
-def test_a_plan_covers_the_scene_at_the_gain_it_is_made_for(gain_db):
-    """Amplified by hand, every pixel lies in the window of that gain twice, and none above it in both."""
-    window = ExposureWindow.of(CAMERA, gain_db, 64.0)
-    rates = np.geomspace(100.0, 1e6, 60)
-    plan = plan_exposures(rates, window, gain_db, LIMITS_S)
-    signal = np.multiply.outer(np.asarray(plan.exposures_s), rates * 10 ** (gain_db / 20))
-    inside = (signal >= window.lowest_dn) & (signal <= window.highest_dn * (1 + 1e-6))
-    assert inside.sum(axis=0).min() >= 2
-
-
 def test_repeats_count_gain_and_pixels():
-    """A hundred pixels at 12 dB: information by hand from the photon-transfer law at that gain."""
+    """Information by hand from the photon-transfer law at 12 dB; exposures that clip tell nothing of a mean."""
     factor = 10 ** (12 / 20)
     rates = np.full(100, 1000.0)
     plan = plan_exposures(rates, ExposureWindow.of(CAMERA, 12.0, 64.0), 12.0, LIMITS_S)
@@ -123,10 +101,6 @@ def test_repeats_count_gain_and_pixels():
     assert repeats_for(plan, rates, CAMERA, 12.0, 1e-5) == expected
     with pytest.raises(UsageError, match="more than a day"):
         repeats_for(plan, rates, CAMERA, 12.0, 1e-9)
-
-
-def test_exposures_that_clip_tell_nothing_of_a_mean():
-    """A second exposure a thousand times as long, where the pixels clip, leaves the repeats as they were."""
     rates = np.full(10, 1e4)
     short, both = ExposurePlan((0.1,)), ExposurePlan((0.1, 100.0))
     assert repeats_for(short, rates, CAMERA, 0.0, 1e-3) > 1
@@ -207,14 +181,7 @@ def test_every_frame_is_staged_and_set_as_planned():
     assert [s.gain_db for s in frames] == pytest.approx([6.0, 6.0, 0.0, 0.0])
     assert [s.shutter for s in frames] == ["open", "open", "closed", "open"]
     assert [s.source_level for s in frames] == [1.0, 1.0, 1.0, 0.5]
-
-
-def test_a_frame_is_filed_under_the_f_number_that_was_staged():
-    """A lens set by hand is not known to the camera: the plan's f-number stands in the frame all the same."""
-    planned = CapturePlan.model_validate({**PLAN, "frames": [{"exposure_s": 0.01, "f_number": 8.0}]})
-    with small_camera() as camera:
-        (frame,) = take_capture_plan(camera, planned, stage=lambda planned: None)
-    assert frame.settings.f_number == 8.0
+    assert frames[3].f_number == 8.0, "of a lens set by hand, which the camera does not know"
 
 
 @pytest.mark.parametrize(
@@ -261,7 +228,7 @@ def test_light_that_cannot_saturate_is_refused(radiance: float, word: str) -> No
 
 
 def test_ladder_takes_pairs_a_stack_and_the_same_darks() -> None:
-    """Bright pairs cross saturation; dark frames repeat the exposures and add the long ones; the shutter reopens."""
+    """Pairs cross saturation, darks repeat the exposures and add 1, 2 and 4 s unless others are asked for."""
     camera = _camera(0.3)
     request = LadderRequest(REGION, steps=9, stack=4, dark_exposures_s=(1.0,))
     frames = list(take_ladder(camera, request))
@@ -271,6 +238,11 @@ def test_ladder_takes_pairs_a_stack_and_the_same_darks() -> None:
     assert {f.settings.exposure_s for f in dark} == {f.settings.exposure_s for f in bright} | {1.0}
     assert max(f.dn[REGION.slices].min() for f in bright) == 4095
     assert not camera.capture()[0].settings.is_dark
+    camera = _camera(0.3)
+    frames = list(take_ladder(camera, LadderRequest(REGION, steps=6, stack=3)))
+    long = [f.settings.exposure_s for f in frames if f.settings.exposure_s > 0.5]
+    assert long == pytest.approx([1.0, 1.0, 2.0, 2.0, 4.0, 4.0], rel=1e-3)
+    assert len(frames) == LadderRequest(REGION, steps=6, stack=3).frames()
 
 
 def test_shutter_by_hand_is_asked_for_and_given_back() -> None:
@@ -300,15 +272,6 @@ def test_two_thirds_of_the_ladder_rise_evenly_and_a_third_passes_through_saturat
     twice = [share * saturating_s for share in shares for _ in range(2)]
     assert ladder == pytest.approx(twice, rel=0.01)
     assert stack == pytest.approx([0.5 * saturating_s] * 4, rel=0.01)
-
-
-def test_dark_frames_of_1_2_and_4_s_are_taken_besides() -> None:
-    """Without a wish of one's own the dark current is determined by these, two each."""
-    camera = _camera(0.3)
-    frames = list(take_ladder(camera, LadderRequest(REGION, steps=6, stack=3)))
-    long = [f.settings.exposure_s for f in frames if f.settings.exposure_s > 0.5]
-    assert long == pytest.approx([1.0, 1.0, 2.0, 2.0, 4.0, 4.0], rel=1e-3)
-    assert len(frames) == LadderRequest(REGION, steps=6, stack=3).frames()
 
 
 def test_a_region_beyond_the_frame_is_refused() -> None:

@@ -59,10 +59,12 @@ def test_a_point_lies_on_the_duty_step_that_the_box_gives(level, step):
 
 
 def test_a_channel_of_one_level_is_refused():
-    """Nothing can be interpolated from it."""
+    """From one level nothing can be interpolated; what the box darkened is no light of its level."""
     lost = Measured(LEVEL, 0.1, math.inf, 0.0, 1.0, 0.0, 1.0)
     with pytest.raises(MeasurementError, match="1 of 2 levels stand out of the noise"):
         assemble(CHANNEL, [point(15_000, 2.0, 0.0), lost], [point(7500, 1.0, 0.0)], SpectralCorrection())
+    with pytest.raises(MeasurementError, match="ten minutes"):
+        survey_of(LinearBox(ChannelMode.OFF)).survey("spot", SpectralCorrection())
 
 
 def test_levels_are_spread_evenly_in_the_logarithm_up_to_the_limit():
@@ -117,12 +119,6 @@ def test_a_survey_begins_and_ends_in_the_dark():
     assert {point.current_range for point in found.points} == {"low", "high"}
     assert found.drift_u_rel == pytest.approx(0.0, abs=1e-9)
     assert box.waited >= 20.0 * len(found.points)
-
-
-def test_a_channel_that_the_box_ended_is_no_level():
-    """Its energy budget is used up: what was read is no light of that level, and the way out is reported."""
-    with pytest.raises(MeasurementError, match="ten minutes"):
-        survey_of(LinearBox(ChannelMode.OFF)).survey("spot", SpectralCorrection())
 
 
 @pytest.mark.parametrize(("duty_steps", "lowest_high"), [(4096, 256), (65_536, 163)])
@@ -212,12 +208,8 @@ def test_light_that_may_not_be_seen_for_long_is_read_before_it_ends(longest_s, s
 
 
 def test_the_wait_ends_before_the_energy_budget_does():
-    """It loses a tenth in 20 s: after nine steps less than 15 % are left, and the box would darken the channel."""
+    """It loses a tenth in 20 s; a level is lit at its share of the highest's budget, 30 % at least."""
     assert points_of(SlowBox(0.01, energy_per_step=-0.1)).settle_s == 180.0
-
-
-def test_a_level_is_lit_when_the_budget_is_as_full_as_it_needs():
-    """In the high range the level's share of the highest, 30 % at least; in the low range 30 %."""
     box = SlowBox(energy_per_step=-0.15, energy=0.03)
     points_of(box)
     for drive, energy in box.lit:
@@ -290,10 +282,12 @@ def times(*exposures_s, flicker_hz=None, limit_s=60.0):
 
 
 def test_short_exposures_are_taken_often_enough():
-    """At 1 ms nine frames, the given ones among them, the longer one more often."""
+    """At 1 ms nine frames; a screen at 60 Hz has two of its frames in 0.04 s; of 30 s no third fits into a minute."""
     found = times(1e-3, 1.4e-3)
     assert len(found) == STEADY_SHORT_FRAMES >= 5
     assert set(found) == {1e-3, 1.4e-3}
+    assert times(30.0, limit_s=60.0) == pytest.approx((30.0, 30.0))
+    assert times(0.04, flicker_hz=60.0) == pytest.approx((2 / 60,) * STEADY_FRAMES)
 
 
 @pytest.mark.parametrize(("planned", "taken"), [(0.0123, 0.01), (0.049, 0.04), (0.0734, 0.05), (1.234, 1.2)])
@@ -301,9 +295,3 @@ def test_long_exposures_are_whole_periods_of_mains_light(planned, taken):
     """Multiples of 1/20 s average 100 and 120 Hz, below that multiples of 1/100 s average 100 Hz."""
     found = times(planned)
     assert found == pytest.approx((taken,) * STEADY_FRAMES)
-
-
-def test_a_known_flicker_sets_the_period():
-    """A screen at 60 Hz: 0.04 s holds two of its frames; of 30 s no third one fits into a minute."""
-    assert times(30.0, limit_s=60.0) == pytest.approx((30.0, 30.0))
-    assert times(0.04, flicker_hz=60.0) == pytest.approx((2 / 60,) * STEADY_FRAMES)

@@ -243,7 +243,7 @@ def test_linear_parts_are_weighted_least_squares(seed):
 
 
 def test_figures_of_a_fit():
-    """σ² = Σw·r²/(ν·c), c what Huber's weights leave; AICc = n·ln(S/n) + 2k + 2k(k + 1)/(n − k − 1)."""
+    """σ² = Σw·r²/(ν·c), AICc = n·ln(S/n) + 2k + 2k(k + 1)/(n − k − 1); four times as uncertain counts a sixteenth."""
     values = ONE_BRANCH.threshold(BRANCH_TIMES, EYE) + np.random.default_rng(1).normal(0.0, 0.1, 60)
     fit = fit_model(branch_series(values), ONE_BRANCH)
     c = 1.0 - math.erfc(2.5 / math.sqrt(2.0))
@@ -252,6 +252,12 @@ def test_figures_of_a_fit():
     assert fit.aicc == pytest.approx(60 * math.log(fit.sum_of_squares / 60) + 8 + 40 / 55)
     with pytest.raises(MeasurementError, match="too few"):
         fit_model(branch_series(values[:4], times=BRANCH_TIMES[:4]), ONE_BRANCH)
+    sigma = np.where(np.arange(60) % 2, 0.4, 0.1)
+    rng = np.random.default_rng(5)
+    values = ONE_BRANCH.threshold(BRANCH_TIMES, EYE) + sigma * rng.uniform(-1.0, 1.0, 60)
+    found = fit_model(branch_series(values, sigma), ONE_BRANCH)
+    assert found.weights == pytest.approx((0.1 / sigma) ** 2)
+    assert found.sigma == pytest.approx(0.1 / math.sqrt(3.0), rel=0.3)  # of a threshold of the surer kind
 
 
 def test_intervals_widen_in_squares_and_cut_equal_tails():
@@ -276,16 +282,6 @@ def test_breaks_lie_inside_and_in_order(nonlinear, allowed):
     assert model.allowed(BRANCH_TIMES, np.array(nonlinear)) is allowed
     if len(nonlinear) == 1:
         assert model.allowed(BRANCH_TIMES + 10.0, np.array(nonlinear)) is allowed
-
-
-def test_a_fit_keeps_what_each_threshold_is_known_to():
-    """Where no press is wild the weights are those of the stated σ: four times as uncertain counts a sixteenth."""
-    sigma = np.where(np.arange(60) % 2, 0.4, 0.1)
-    rng = np.random.default_rng(5)
-    values = ONE_BRANCH.threshold(BRANCH_TIMES, EYE) + sigma * rng.uniform(-1.0, 1.0, 60)
-    found = fit_model(branch_series(values, sigma), ONE_BRANCH)
-    assert found.weights == pytest.approx((0.1 / sigma) ** 2)
-    assert found.sigma == pytest.approx(0.1 / math.sqrt(3.0), rel=0.3)  # of a threshold of the surer kind
 
 
 def fitted(**changes):
@@ -530,12 +526,19 @@ def test_pupil_spans_its_known_range_and_shrinks_with_light():
 
 
 def test_range_spans_the_published_constants():
-    """10⁵ td for 600 s: rods lie between those of 1.6·10⁷ td·s with 360 s and of 10⁷ td·s with 450 s."""
+    """Rods of 10⁵ td for 600 s are between their published constants; cones between the extremes of I0 with τ."""
     low, high = bleached_range(1e5, 600.0)
     least, most = 1e5 / 1.6e7, 1e5 / 1e7
     assert low == pytest.approx(least / (least + 1 / 360) * (1 - math.exp(-(least + 1 / 360) * 600)))
     assert high == pytest.approx(most / (most + 1 / 450) * (1 - math.exp(-(most + 1 / 450) * 600)))
     assert low < bleached_fraction(1e5, 600.0) <= high
+    half, back = CONE_HALF_BLEACH, CONE_REGENERATION
+    ends = []
+    for half_td in (half.low, half.high):
+        for time_s in (back.low, back.high):
+            rate = (1.0 + 1e4 / half_td) / time_s
+            ends.append(1e4 / (1e4 + half_td) * (1.0 - math.exp(-rate * 60.0)))
+    assert bleached_range(1e4, 60.0, "cones") == pytest.approx((min(ends), max(ends)))
 
 
 def test_calculator_eye_and_docs_share_one_table(project_root):
@@ -547,14 +550,3 @@ def test_calculator_eye_and_docs_share_one_table(project_root):
     assert KINETICS["cones"].td_s == eye_kinetics.CONE_EXPOSURE_TD_S
     assert KINETICS["cones"].regeneration_s == eye_kinetics.CONE_REGENERATION_S
     assert KINETICS["rods"].td_s == eye_kinetics.ROD_EXPOSURE_TD_S
-
-
-def test_range_of_cones_spans_their_own_constants():
-    """I0 and τ of cones are published apart: the extremes are those of I0 with τ, whatever Q they make together."""
-    half, back = CONE_HALF_BLEACH, CONE_REGENERATION
-    ends = []
-    for half_td in (half.low, half.high):
-        for time_s in (back.low, back.high):
-            rate = (1.0 + 1e4 / half_td) / time_s
-            ends.append(1e4 / (1e4 + half_td) * (1.0 - math.exp(-rate * 60.0)))
-    assert bleached_range(1e4, 60.0, "cones") == pytest.approx((min(ends), max(ends)))

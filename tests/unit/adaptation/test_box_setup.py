@@ -8,7 +8,7 @@ import pytest
 import radiometer as rm
 from radiometer.adaptation.box_setup import SIMULATED_CALIBRATION, BoxLights, BoxStage, open_box_stage
 from radiometer.adaptation.checks import judge_age, judge_room
-from radiometer.adaptation.protocol import SHIPPED, read_protocol
+from radiometer.adaptation.protocol import SHIPPED, FlashBleach, read_protocol
 from radiometer.adaptation.request import RunRequest
 from radiometer.bench.boxes import open_light_box
 from radiometer.bench.served import served_box
@@ -155,6 +155,19 @@ def test_bleach_beyond_the_exposure_limit_is_refused(quick):
     assert "IEC 62471" in str(refused)
 
 
+@pytest.mark.parametrize(("td_s", "count"), [(1.2e7, 8), (1.4e7, 9)])
+def test_a_box_fires_eight_flashes_in_a_row(quick, td_s, count):
+    """Some 1.6e6 td·s each: eight are foreseen with their hazard, a ninth is refused with the way out."""
+    flash = FlashBleach(kind="flash", retinal_td_s=td_s, pupil_mm=6.0, source="flash")
+    (safety,) = findings(quick.model_copy(update={"bleach": flash}))
+    (one,) = findings(quick.model_copy(update={"bleach": flash.model_copy(update={"retinal_td_s": 1e6})}))
+    if count > 8:
+        assert f"takes {count} flashes, the box fires 8 in a row" in str(safety.refusal)
+    else:
+        assert safety.refusal is None
+        assert safety.facts["blue_light"] > 1.5 * one.facts["blue_light"]
+
+
 @pytest.mark.slow
 def test_dark_room_is_measured_by_the_camera(quick):
     """In the dark the reading is 0 within its uncertainty; at 0.01 cd/m² it is that, and refused."""
@@ -173,10 +186,14 @@ def test_room_must_be_shown_to_be_dark(quick, value, u, message):
     assert message in str(judge_room(value, u, quick).refusal)
 
 
-def test_simulated_subject_sits_before_the_simulated_box_only(quick):
-    """No box is opened for the refusal."""
+def test_simulated_subject_sits_before_the_simulated_box_only(quick, tmp_path):
+    """No box is opened for the refusal; the firmware in simavr has pins, no LEDs."""
     with pytest.raises(UsageError, match="--box sim"), open_box_stage(RunRequest(quick, box="LB1", simulate="steady")):
         pass
+    with pytest.raises(UsageError, match="leave out one"):
+        served_box("TWIN0001", tmp_path / "port", firmware=tmp_path / "x.hex", subject="steady")
+    with pytest.raises(UsageError, match="choose steady"):
+        served_box("TWIN0001", tmp_path / "port", subject="asleep")
 
 
 def test_red_mark_has_the_protocols_luminance(quick):
@@ -189,14 +206,6 @@ def test_red_mark_has_the_protocols_luminance(quick):
         assert stage.facts()["u_scale_log10"] == pytest.approx(0.01127 / 2.3026, abs=1e-4)  # 1.127 % shared by all
     with open_box_stage(before_box(quick, fixation_w_sr_m2=0.0)) as (stage, _):
         assert stage.lights.fixation_w_sr_m2 == 0.0
-
-
-def test_served_box_has_its_subject_before_the_twin_only(tmp_path):
-    """The firmware in simavr has pins, no LEDs."""
-    with pytest.raises(UsageError, match="leave out one"):
-        served_box("TWIN0001", tmp_path / "port", firmware=tmp_path / "x.hex", subject="steady")
-    with pytest.raises(UsageError, match="choose steady"):
-        served_box("TWIN0001", tmp_path / "port", subject="asleep")
 
 
 def _preset(path, text):

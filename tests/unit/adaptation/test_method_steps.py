@@ -41,7 +41,7 @@ def levels_of(method, answers):
 
 
 def test_a_staircase_takes_large_steps_until_its_first_turn():
-    """0.4 up while nothing is seen, 0.2 either way from the first turn on; the mean of all turns but the first."""
+    """0.4 until the first turn, 0.2 after it, the mean of all turns but the first; none at the end of the levels."""
     rules = StaircaseMethod(kind="staircase", first_step_log10=0.4, step_log10=0.2, start_below_log10=0.0, reversals=3)
     staircase = Staircase(SPOT, rules, last=-1.0)
     assert levels_of(staircase, "nnyn") == [-1.0, -0.6, -0.2, -0.4]
@@ -49,10 +49,6 @@ def test_a_staircase_takes_large_steps_until_its_first_turn():
     assert levels_of(staircase, "yyn") == [-0.2, -0.4, -0.6]
     turns += [-0.2, -0.6]
     assert staircase.threshold == pytest.approx(sum(turns[1:]) / 3)
-
-
-def test_a_staircase_gives_up_at_the_end_of_the_levels():
-    """At the highest level not seen, or at the lowest seen, there is no step left."""
     rules = StaircaseMethod(kind="staircase", first_step_log10=0.4, step_log10=0.2, start_below_log10=0.0, reversals=3)
     for last, answers in ((0.9, "nn"), (-2.9, "yy")):
         staircase = Staircase(SPOT, rules, last=last)
@@ -170,10 +166,12 @@ def falling(times=TIMES):
 
 
 def test_intercept_is_where_the_line_meets_the_criterion():
-    """Without noise exactly; what all thresholds are wrong by moves it by 1/0.24 min per log10 unit."""
+    """Without noise exactly, shifted by 1/0.24 min per log10 unit; a curve above, below, or rising has none."""
     met = rod_intercept(ThresholdSeries(TIMES, falling()), RULE, 0.03)
     assert met.time_min == pytest.approx(3 + 0.801 / 0.24, abs=0.02)
     assert met.u_min == pytest.approx(0.03 / 0.24, rel=0.05)
+    for levels in (falling() + 3.0, falling() - 3.0, -falling() - 4.0):
+        assert rod_intercept(ThresholdSeries(TIMES, levels), RULE) is None
 
 
 def test_its_interval_holds_the_truth():
@@ -231,12 +229,6 @@ def test_five_thresholds_make_a_line(count, read):
     if read:
         assert found.time_min == pytest.approx(6.3)
         assert found.u_min == pytest.approx(0.0, abs=1e-9)
-
-
-def test_what_is_not_reached_has_no_time():
-    """A curve that stays above, one that begins below, and a rising one have no intercept."""
-    for levels in (falling() + 3.0, falling() - 3.0, -falling() - 4.0):
-        assert rod_intercept(ThresholdSeries(TIMES, levels), RULE) is None
 
 
 def test_only_a_protocol_with_the_published_conditions_reports_one():

@@ -100,7 +100,7 @@ def _blink(level, *presses_s, **named):
 
 
 def test_blinks_are_counted_by_what_they_were():
-    """Blank ones by none, bright ones by their missing press; a search's blinks and hasty presses count for nothing."""
+    """Blank ones by none, bright ones by their missing press; what is written before the thresholds is read again."""
     events = [
         _blink(-1.0, 0.4),
         _blink(None),
@@ -114,23 +114,23 @@ def test_blinks_are_counted_by_what_they_were():
         {"kind": "trial", "catch": True, "of": "blind_spot", "seen": False},
     ]
     assert Reliability.of_trials(events, FASTEST_S) == Reliability(Count(1, 3), Count(1, 2), Count(1, 3))
-
-
-def test_looks_away_are_what_false_alarms_and_lapses_leave():
-    """20 % of the lights seen, 10 % false alarms, 10 % lapses: (0.2 - 0.1)/(0.9·0.9) = 12.3 %."""
-    rate = Reliability(Count(10, 100), Count(10, 100), Count(20, 100)).rates["fixation_losses"]
-    assert rate.value == pytest.approx(0.1 / 0.81)
-    assert rate.low < 0.05 < rate.value < 0.2 < rate.high
+    counts = Reliability(Count(2, 90), Count(0, 20), Count(3, 30))
+    assert counts.facts() == {"false_alarms": "2/90", "lapses": "0/20", "seen_at_blind_spot": "3/30"}
+    assert Reliability.of_facts(counts.facts()) == counts
+    assert Reliability.of_facts({"false_alarms": "many"}) == Reliability()
 
 
 def test_interval_of_a_share_is_jeffreys():
-    """5 of 50: quantiles of Beta(5.5, 45.5), to what 40 000 draws give; never seen reaches to 0; untried has none."""
+    """5 of 50 by Beta(5.5, 45.5), the untried has none; looks away are (0.2 - 0.1)/(0.9·0.9) = 12.3 %."""
     rates = Reliability(Count(5, 50), Count(0, 20)).rates
     assert (set(rates), Reliability().rates) == ({"false_alarms", "lapses"}, {})
     low, high = beta.ppf([0.025, 0.975], 5.5, 45.5)
     assert (rates["false_alarms"].low, rates["false_alarms"].high) == pytest.approx((low, high), abs=0.002)
     assert rates["lapses"].low == 0.0
     assert rates["lapses"].high == pytest.approx(beta.ppf(0.975, 0.5, 20.5), abs=0.003)
+    rate = Reliability(Count(10, 100), Count(10, 100), Count(20, 100)).rates["fixation_losses"]
+    assert rate.value == pytest.approx(0.1 / 0.81)
+    assert rate.low < 0.05 < rate.value < 0.2 < rate.high
 
 
 @pytest.mark.long
@@ -145,11 +145,3 @@ def test_intervals_hold_the_planted_share(planted):
         rate = Reliability(*counts).rates["fixation_losses"]
         held += rate.low <= planted <= rate.high
     assert held >= 0.93 * 300
-
-
-def test_counts_travel_with_the_thresholds():
-    """What is written before the thresholds is read again; nonsense is nothing."""
-    counts = Reliability(Count(2, 90), Count(0, 20), Count(3, 30))
-    assert counts.facts() == {"false_alarms": "2/90", "lapses": "0/20", "seen_at_blind_spot": "3/30"}
-    assert Reliability.of_facts(counts.facts()) == counts
-    assert Reliability.of_facts({"false_alarms": "many"}) == Reliability()

@@ -51,12 +51,15 @@ def _added(code):
 
 
 def test_levels_are_what_each_code_adds_to_black(screen):
-    """At every code the spot is right within four of its stated sigmas, and these shrink towards white."""
+    """At every code right within four sigmas, which shrink towards white; none is below the limit of detection."""
     levels = SpotLevels.of(screen, "blue")
     z = [(v - _added(int(n))) / u for n, v, u in zip(levels.codes, levels.log10, levels.u_log10, strict=True)]
     assert np.abs(z).max() < 4
     assert levels.u_log10[0] > 10 * levels.u_log10[-1]
     assert levels.u_common_log10 == pytest.approx(0.01 / math.log(10))
+    curve = replace(screen.channels["blue"], detection_limit=1e-3)
+    levels = SpotLevels.of(replace(screen, channels={**screen.channels, "blue": curve}), "blue")
+    assert 10 ** levels.log10[0] > 1e-3 * EFFICACIES["blue"][1]
 
 
 def test_darkest_level_is_the_first_that_is_distinguished_from_black(screen):
@@ -73,13 +76,6 @@ def test_darkest_level_is_the_first_that_is_distinguished_from_black(screen):
             before = 10.0 ** _added(first - 1) / EFFICACIES["blue"][1]
             assert 2 * u * math.hypot(BLACK, BLACK + before) > 0.4 * before
     assert blurred.codes[0] > sharp.codes[0]
-
-
-def test_black_that_was_not_detected_bounds_the_levels(screen):
-    """No level below the limit of detection is used."""
-    curve = replace(screen.channels["blue"], detection_limit=1e-3)
-    levels = SpotLevels.of(replace(screen, channels={**screen.channels, "blue": curve}), "blue")
-    assert 10 ** levels.log10[0] > 1e-3 * EFFICACIES["blue"][1]
 
 
 def test_protocol_is_narrowed_to_the_screens_reach(screen):
@@ -190,7 +186,7 @@ def test_journal_learns_what_the_screen_is(stage):
 
 
 def test_what_does_not_fit_is_refused(screen, protocol, watched):
-    """A phone held too far away has no room for 8°; a flash is beyond any screen."""
+    """A phone too far away has no room for 8°, no screen gives a flash; without room at 11.5° the test goes on."""
     watched.size = (390, 844)
     with pytest.raises(ConfigurationError, match="sit closer"):
         ScreenStage(watched, screen, protocol, Viewing(600.0, 0.08), lambda: 0.0)
@@ -198,6 +194,12 @@ def test_what_does_not_fit_is_refused(screen, protocol, watched):
     with pytest.raises(UsageError, match="gives no flash"):
         ScreenStage(watched, screen, flash, Viewing(600.0, 0.27), lambda: 0.0)
     assert screen.channel("blue").efficacy(SCOTOPIC) == EFFICACIES["blue"][1]
+    watched.size = (600, 400)
+    stage = ScreenStage(watched, screen, protocol, Viewing(600.0, 0.27), lambda: watched.time)
+    assert not stage.checks_fixation
+    assert "no room" in stage.facts()["no_fixation_check"]
+    with pytest.raises(UsageError, match="no room"):
+        stage.blink_blind_spot(0, 0)
 
 
 @pytest.mark.parametrize(("eye", "side"), [("right", 1), ("left", -1)])
@@ -217,16 +219,6 @@ def test_light_in_the_blind_spot_stands_temporal_of_the_mark(screen, protocol, w
     assert on_s == protocol.spot.on_s
     stage.blink(0.0, 0, 1)
     assert side * watched.blinks[1][0].shapes[-1].x > 0
-
-
-def test_page_without_room_for_the_blind_spot_says_so(screen, protocol, watched):
-    """Mark and spot fit into 600 pixels, the light at 11.5° does not: the test goes on without."""
-    watched.size = (600, 400)
-    stage = ScreenStage(watched, screen, protocol, Viewing(600.0, 0.27), lambda: watched.time)
-    assert not stage.checks_fixation
-    assert "no room" in stage.facts()["no_fixation_check"]
-    with pytest.raises(UsageError, match="no room"):
-        stage.blink_blind_spot(0, 0)
 
 
 @pytest.mark.parametrize(

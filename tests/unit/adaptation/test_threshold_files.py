@@ -56,16 +56,12 @@ def test_every_form_gives_the_same_minutes_and_log10(form, tmp_path):
 
 
 def test_opi_decibels_are_below_its_brightest_stimulus(tmp_path):
-    """OPI's dbTocd: 0 dB is 10 000/π cd/m², 40 dB is 1/π."""
+    """0 dB is 10 000/π cd/m², 40 dB is 1/π; a u of 1 dB is 0.1 log10, one of 10 % of a linear threshold 0.0434."""
     file = tmp_path / "opi.csv"
     file.write_text("# OPI: Octopus900\ntime_s,dB\n60,0\n300,40\n600,60\n")
     rows = read_table(file).rows
     assert rows[:, 1] == pytest.approx([math.log10(1e4 / math.pi), -math.log10(math.pi), -2 - math.log10(math.pi)])
     assert rows[:, 0] == pytest.approx([1.0, 5.0, 10.0])
-
-
-def test_sigma_follows_the_unit(tmp_path):
-    """A u of 1 dB is 0.1 log10; a u of 10 % of a linear threshold is 0.0434."""
     file = tmp_path / "run.csv"
     file.write_text("time_min,threshold_db,u\n0.5,10,1\n2,-10,2\n")
     assert read_table(file).rows[:, 2] == pytest.approx([0.1, 0.2])
@@ -246,12 +242,15 @@ def _trials(threshold_db, *, reaction=True):
 
 
 def test_opi_trials_give_a_threshold_wherever_the_answer_changes(tmp_path):
-    """Seen at 20 dB, not at 22: 21 dB below 10 000/π cd/m², at the mean of the two onsets, not at reaction times."""
+    """Between 20 dB, seen, and 22, at the mean of the onsets; a dim level seen and a brighter one not gives none."""
     (tmp_path / "t.csv").write_text("# OPI: Octopus900\n# level: dB\n" + _trials(20.0).replace("level", "level_dB"))
     found = read_table(tmp_path / "t.csv")
     assert found.rows[:, 1] == pytest.approx([math.log10(1e4 / math.pi) - 2.1] * 3)
     assert found.rows[:, 0] * 60 == pytest.approx([37.0, 45.0, 51.0])
     assert any("a list of 12 trials: 3 thresholds" in text for text in found.taken)
+    text = "onset_s,log10_level,seen\n0,-1.0,no\n2,-0.9,no\n4,-1.4,yes\n6,-0.9,no\n8,-0.8,yes\n"
+    (tmp_path / "t.csv").write_text(text)
+    assert read_table(tmp_path / "t.csv").rows[:, 1] == pytest.approx([-0.85])
 
 
 def test_the_steps_of_a_search_say_how_far_apart_two_levels_may_be(tmp_path):
@@ -262,13 +261,6 @@ def test_the_steps_of_a_search_say_how_far_apart_two_levels_may_be(tmp_path):
         rows = "".join(f"{onset},{level},{seen}\n" for onset, level, seen in trials)
         (tmp_path / name).write_text("onset_s,log10_level,seen\n" + rows)
         assert read_table(tmp_path / name).rows[:, 1] == pytest.approx(found)
-
-
-def test_false_alarm_in_a_list_of_trials_is_no_threshold(tmp_path):
-    """A dim level seen, then a brighter one not: one of the answers was wrong, neither change counts."""
-    text = "onset_s,log10_level,seen\n0,-1.0,no\n2,-0.9,no\n4,-1.4,yes\n6,-0.9,no\n8,-0.8,yes\n"
-    (tmp_path / "t.csv").write_text(text)
-    assert read_table(tmp_path / "t.csv").rows[:, 1] == pytest.approx([-0.85])
 
 
 @pytest.mark.parametrize(

@@ -122,7 +122,7 @@ def test_documents_hold_what_the_reading_says(engine):
 
 
 def test_units_are_never_mixed(engine):
-    """Relative readings are refused under W sr-1 m-2, and taken by a detector that says so."""
+    """Relative readings are refused under W sr-1 m-2 and taken as such; a camera that is lost ends the plan."""
     with pytest.raises(FailedStatus) as refused:
         _run(engine, bp.count([RadiometerDetector(Told(_reading(1.0, unit="relative")), "r")]))
     assert "unit='relative'" in str(refused.value.__cause__ or refused.value)
@@ -131,10 +131,6 @@ def test_units_are_never_mixed(engine):
     assert keys["r-radiance"]["units"] == "relative"
     with pytest.raises(UsageError, match="'W sr-1 m-2', or 'relative'"):
         RadiometerDetector(Told(), "r", unit="nits")
-
-
-def test_failed_reading_fails_the_plan(engine):
-    """A camera that is lost ends the plan; no stale value enters a document."""
     with pytest.raises(FailedStatus):
         _run(engine, bp.count([RadiometerDetector(Told(DeviceError("camera lost")), "r")]))
 

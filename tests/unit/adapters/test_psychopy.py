@@ -34,14 +34,6 @@ def test_photometer_answers_as_psychopy_asks():
     assert "radiometer:stated" in photometer.getInfo()
 
 
-def test_without_a_spectrum_there_is_no_luminance():
-    """A radiance of light of unknown spectrum is no luminance, and is not given out as 0."""
-    photometer = RadiometerPhotometer(source=Told(None))
-    with pytest.raises(MeasurementError, match="spectrum='white_led'"):
-        photometer.getLum()
-    assert photometer.lastLum is None
-
-
 @pytest.mark.slow
 def test_photometer_of_a_camera_reads_what_the_bench_shows():
     """The bench's middle patch has 1.5·0.5^2.2 W/sr/m²; the lens is known to 1 %, of which three sigmas are allowed."""
@@ -77,9 +69,13 @@ def test_backend_without_psychopy_says_so():
 
 
 def test_a_lower_bound_is_no_luminance_and_one_below_the_noise_warns():
-    """A saturated patch is an error with the way out; what is below the noise comes with a warning."""
+    """Neither is a radiance of unknown spectrum, and it is not given out as 0; what is below the noise warns."""
     bound = Quantity(46.9, 46.9, "cd m-2")
     with pytest.raises(MeasurementError, match="lower bound"):
         RadiometerPhotometer(source=Told(bound, Flag.SATURATED)).getLum()
     with pytest.warns(UserWarning, match="below the noise"):
         assert RadiometerPhotometer(source=Told(bound, Flag.BELOW_NOISE)).getLum() == 46.9
+    photometer = RadiometerPhotometer(source=Told(None))
+    with pytest.raises(MeasurementError, match="spectrum='white_led'"):
+        photometer.getLum()
+    assert photometer.lastLum is None

@@ -146,18 +146,14 @@ def test_a_program_that_hangs_while_it_holds_a_box_is_named(capsys, monkeypatch)
     assert f"process {os.getppid()} holds light box" in capsys.readouterr().err
 
 
-def test_what_answers_otherwise_is_no_box():
-    """Whoever shows no number of a process is passed over, and the boxes next to it are found."""
-    with holding("who is", "/dev/a", lambda: None), holding("BBBB0001", "/dev/b", lambda: None):
-        assert [(box.serial, box.pid) for box in held_boxes()] == [("BBBB0001", os.getpid())]
-
-
 def test_a_port_is_reported_whole_however_deep_its_folder_is():
-    """A path may have 4095 bytes: cut off, `light off --box PORT` would find no holder."""
+    """Cut off, `light off --box PORT` would find no holder; whoever shows no number of a process is passed over."""
     port = "/" + "/".join(["folder"] * 584)
     assert len(port) == 4088
     with holding("AAAA0001", port, lambda: None):
         assert [(box.serial, box.port) for box in held_boxes()] == [("AAAA0001", port)]
+    with holding("who is", "/dev/a", lambda: None), holding("BBBB0001", "/dev/b", lambda: None):
+        assert [(box.serial, box.pid) for box in held_boxes()] == [("BBBB0001", os.getpid())]
 
 
 def test_pages_darken_every_box_that_is_held():

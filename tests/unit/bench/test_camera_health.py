@@ -6,13 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from radiometer.bench.assembly import require_absolute
 from radiometer.bench.doctor import check_camera, check_dark_level, check_linearity, check_temperature
 from radiometer.bench.instrument import Instrument
 from radiometer.data import BlackLevel, Calibration, Flag, LensDescription, Patch, Scale, SensorNoise
 from radiometer.devices import CameraCapabilities, CameraPreset, CameraSettings, Health
+from radiometer.errors import CalibrationError
 from simulators.cameras.simulated_camera import SimulatedCamera, default_limits
 from simulators.chain.camera_model import CameraModel
 from simulators.scenes import scene_from_mapping
+from testing.relative_scale import relative_calibration
 
 
 class UnevenCamera(SimulatedCamera):
@@ -40,9 +43,10 @@ def camera(kind=SimulatedCamera, radiance=0.3, temperature_c=40.0):
     return kind(model, scene, limits=limits, temperature_c=temperature_c)
 
 
-def test_a_sound_camera_has_no_warning():
-    """An ideal camera passes every check."""
-    with camera() as sound:
+@pytest.mark.parametrize("radiance", [0.03, 0.3, 3.0])
+def test_a_sound_camera_has_no_warning(radiance):
+    """An ideal camera passes every check, also where its exposure is too short or clips to begin with."""
+    with camera(radiance=radiance) as sound:
         sound.configure(CameraSettings(0.01, black_level_dn=64))
         assert {finding.health for finding in check_camera(sound)} == {Health.OK}
 
@@ -50,13 +54,7 @@ def test_a_sound_camera_has_no_warning():
 @pytest.mark.parametrize(
     ("made", "black_dn", "check", "health", "words"),
     [
-        (
-            {"kind": BentCamera},
-            0,
-            lambda c: check_linearity(c, 0.0),
-            Health.WARNING,
-            "gives 0.535",
-        ),  # 0.5**0.9 = 0.5359
+        ({"kind": BentCamera}, 0, lambda c: check_linearity(c, 0.0), Health.WARNING, "gives 0.535"),  # 0.5**0.9
         ({"radiance": 1e-9}, 64, lambda c: check_linearity(c, 64.0), Health.NOTE, "light"),
         ({}, 0, lambda c: check_dark_level(c)[0], Health.WARNING, "raise the black level"),
         ({}, 64, check_temperature, Health.OK, ""),
@@ -143,3 +141,11 @@ def test_a_surround_that_clips_is_looked_at_in_shorter_frames():
     assert Flag.STRAY_LIGHT in found.flags
     stray = next(line for line in found.budget if line.name == "stray light")
     assert stray.u_rel == pytest.approx(7.5e-3 * (0.7 * 100 + 0.3 - 1), rel=0.05)
+
+
+def test_a_radiance_needs_an_absolute_scale():
+    """Neither none nor a relative one is taken."""
+    described = CameraPreset.shipped("BFS-U3-19S4M").camera
+    for known in (None, relative_calibration(described, SensorNoise.of(described))):
+        with pytest.raises(CalibrationError, match="no absolute calibration"):
+            require_absolute(known)

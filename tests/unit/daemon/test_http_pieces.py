@@ -74,13 +74,18 @@ def test_a_picture_is_in_the_unit_of_the_reading():
 
 
 def test_a_picture_goes_through_the_curve_in_use():
-    """Of a square law, half the number is a quarter of the light."""
+    """Of a square law half the number is a quarter of the light; numbers at or below black are a thousandth of a DN."""
     with np.errstate(divide="ignore"):
         curve = ResponseCurve(2.0 * np.log(np.arange(4096) / 2048.0), np.zeros(4096))
     dn = np.full((8, 8), 2000)
     dn[6, 6] = 1000
     picture = composite(measured((0, 0.01, 0.0), dn=dn), curve, 3)
     assert picture.radiance[6, 6] / picture.radiance[0, 0] == pytest.approx(0.25, rel=1e-5)
+    dn = np.full((8, 8), 64 + 1000)
+    dn[6, 6] = 40
+    assert composite(measured((0, 0.01, 0.0), dn=dn), None, 3).radiance[6, 6] == pytest.approx(2e-6)
+    dark = replace(measured((64, 0.01, 0.0)), reading=Reading(Quantity(0.0, 0.1, "1"), Patch(0, 0, 4, 4), "1"))
+    assert composite(dark, None, 3).radiance[0, 0] == pytest.approx(1e-3 / 0.01)
 
 
 @pytest.mark.parametrize(("scale", "message"), [("auto", "log"), ("linear", "linear"), ("log", "log")])
@@ -155,15 +160,6 @@ def test_no_two_numbers_next_to_the_bar_are_one(low, ratio, logarithmic):
     texts = bar_labels(values, 2)
     assert len(set(texts)) == 6
     assert [float(text) for text in texts] == pytest.approx(list(values), rel=0.05)
-
-
-def test_what_lies_at_black_is_dim_and_not_a_thousand():
-    """Numbers at or below black are a thousandth of a DN, the patch is what was read, and a patch in the dark is 1."""
-    dn = np.full((8, 8), 64 + 1000)
-    dn[6, 6] = 40
-    assert composite(measured((0, 0.01, 0.0), dn=dn), None, 3).radiance[6, 6] == pytest.approx(2e-6)
-    dark = replace(measured((64, 0.01, 0.0)), reading=Reading(Quantity(0.0, 0.1, "1"), Patch(0, 0, 4, 4), "1"))
-    assert composite(dark, None, 3).radiance[0, 0] == pytest.approx(1e-3 / 0.01)
 
 
 _CSS = (Path(__file__).parents[3] / "radiometer/daemon/http/page/page.css").read_text(encoding="utf-8")

@@ -441,14 +441,6 @@ def test_a_budget_is_of_its_own_reading(tmp_path, make_reading):
             reader.budget(gone)
 
 
-def test_what_was_handed_out_survives_a_power_cut(tmp_path, connections):
-    """SQLite waits for the disk at every commit (synchronous = FULL) and writes ahead, so that readers never wait."""
-    with Journal(tmp_path / "j.sqlite"):
-        (connection,) = connections
-        assert connection.execute("PRAGMA synchronous").fetchone() == (2,)
-        assert connection.execute("PRAGMA journal_mode").fetchone() == ("wal",)
-
-
 def kept_of(path, before_us):
     """Return which numbers a deletion leaves in a journal."""
     with Journal(path) as journal:
@@ -698,12 +690,16 @@ async def test_a_journal_that_is_locked_is_an_alarm_and_no_end(tmp_path, monkeyp
     await writer.close()
 
 
-def test_a_journal_is_recognised_by_its_first_bytes(tmp_path, make_reading):
-    """SQLite's header holds RAMJ at byte 68 and the form at byte 60: journals of before and `file` go by these."""
+def test_a_journal_is_recognised_by_its_first_bytes(tmp_path, make_reading, connections):
+    """RAMJ and the form in its header; SQLite waits for the disk at every commit, and readers never wait."""
     written(tmp_path / "j.sqlite", readings(make_reading))
     header = (tmp_path / "j.sqlite").read_bytes()[:100]
     assert (header[:15], header[68:72]) == (b"SQLite format 3", b"RAMJ")
     assert int.from_bytes(header[60:64], "big") == SCHEMA_VERSION
+    with Journal(tmp_path / "j.sqlite"):
+        connection = connections[-1]
+        assert connection.execute("PRAGMA synchronous").fetchone() == (2,)
+        assert connection.execute("PRAGMA journal_mode").fetchone() == ("wal",)
 
 
 @pytest.mark.parametrize(

@@ -228,16 +228,12 @@ def test_a_bound_breaks_only_the_limit_it_is_beyond(make_reading, flag, value, b
 
 
 def test_names_that_lead_astray_are_refused():
-    """Nothing that a path, a topic or a line of SCPI stumbles over: 32 letters, digits and a few signs between them."""
+    """32 letters, digits and a few signs; no radiance is above 2 and below 2, and the hysteresis is half at most."""
     for name in ("", "main", "MAIN", " lamp", "a/b", "lämp", "x" * 33, "a\nb", '"'):
         with pytest.raises(UsageError):
             check_name(name)
     for name in ("x" * 32, "a", "mains", "Lamp 1.b_c-d+e"):
         assert check_name(name) == name
-
-
-def test_limits_that_nothing_can_keep_are_refused():
-    """A radiance cannot lie above 2 and below 2, nor be held against no number; the hysteresis is half at most."""
     for low, high in ((2.0, 2.0), (3.0, 2.0), (math.nan, None), (None, math.inf)):
         with pytest.raises(UsageError):
             PatchLimits(low, high)

@@ -50,8 +50,11 @@ def test_the_manual_is_up_to_date(project_root):
     assert f"{limits.stuck_s:g} s" in page
 
 
-async def test_value_and_uncertainty_come_together(client):
-    """MEAS:RAD? replies value,u; UNC? of the same message is that u."""
+async def test_value_and_uncertainty_come_together(client, station):
+    """MEAS:RAD? replies value,u, UNC? the same u; FETC:JSON? is the journal's line in a block."""
+    reply = await client.ask("READ?;:FETC:JSON?")
+    line = reply[reply.index("{") :]
+    assert json.loads(line) == station.shown.latest.to_mapping()
     value, u, again = (await client.ask("MEAS:RAD? 5,6,7,8;:FETC:UNC?")).replace(";", ",").split(",")
     assert (float(value), float(u), float(again)) == (6.0, 0.01, 0.01)
 
@@ -64,16 +67,12 @@ async def test_a_patch_is_given_shared_or_the_middle(client, instrument):
     assert await client.ask("SENS:PATC?") == "7,8,9,10"
 
 
-async def test_compounds_follow_the_path_of_the_header_before(client):
-    """A header without leading colon continues in the subsystem; common commands do not change it."""
-    assert await client.ask("SENS:GAIN 6;*OPC?;GAIN?;EXP:AUTO?;AUTO?;:SYST:VERS?") == "1;6.000000000E+00;1;1;1999.0"
-
-
 async def test_what_precedes_an_error_is_executed_and_what_follows_is_not(client):
-    """A command error throws the rest of the message away; an execution error does not."""
+    """A command error throws the rest of a message away, an execution error does not; paths go on without a colon."""
     assert await client.ask("SENS:GAIN 3;GAIN?;NONSENSE;GAIN 9") == "3.000000000E+00"
     assert await client.ask(":SENS:GAIN?") == "3.000000000E+00"
     assert await client.ask("SENS:GAIN 99;GAIN 12;GAIN?") == "1.200000000E+01"
+    assert await client.ask("SENS:GAIN 6;*OPC?;GAIN?;EXP:AUTO?;AUTO?;:SYST:VERS?") == "1;6.000000000E+00;1;1;1999.0"
 
 
 async def test_init_overlaps_and_opc_reports_when_it_is_over(client, instrument):
@@ -102,13 +101,6 @@ async def test_a_lost_camera_reaches_the_error_queue_and_the_status(connect, ins
         assert (await one.ask("SYST:ERR?")).startswith("-240")
     station.refresh_metrics()
     assert b'radiometer_device_up{device="camera"} 0.0' in station.metrics.render()
-
-
-async def test_the_json_of_a_reading_is_the_documented_line(client, station):
-    """FETC:JSON? is the journal's line in a block."""
-    reply = await client.ask("READ?;:FETC:JSON?")
-    line = reply[reply.index("{") :]
-    assert json.loads(line) == station.shown.latest.to_mapping()
 
 
 async def test_light_levels_are_set_by_number(client, box):

@@ -612,16 +612,12 @@ async def test_what_is_aborted_does_not_go_on(session, command):
 
 
 async def test_a_patch_beyond_the_picture_is_refused_when_it_is_chosen(session, instrument):
-    """64 by 48 pixels: a patch over the edge, or of no size, is −222 at once and nothing is measured with it."""
+    """64 by 48 pixels: one over the edge, or of no size, is −222 at once; CONFigure alone takes the patch for all."""
     for place in ("60,0,5,5", "0,44,5,5", "0,0,0,5"):
         await ask(session, f"CONF:RAD {place}")
         assert await errors(session) == ["-222"], place
         assert session.own_patch is None, place
         assert not instrument.measured, place
-
-
-async def test_a_quantity_is_chosen_with_its_patch_or_without(session):
-    """CONFigure alone takes the patch that is measured for all."""
     for quantity in ("RAD", "LUM"):
         await ask(session, f"CONF:{quantity} 5,6,7,8")
         await ask(session, f"CONF:{quantity}")

@@ -195,6 +195,8 @@ def test_repetitions_count_as_if_written_out(tmp_path):
     refuse_deep_yaml("[" * 64 + "]" * 64, "here")
     with pytest.raises(InputError):
         refuse_deep_yaml("[" * 65 + "]" * 65, "here")
+    with pytest.raises(InputError):
+        refuse_deep_yaml("\n".join(" " * n + f"k{n}:" for n in range(66)), "here")
     lines = ["a: &a [" + "1, " * 999 + "1]", "b: &b [" + "*a, " * 99 + "*a]"]
     refuse_deep_yaml("\n".join([*lines, "c: [" + "*b, " * 48 + "]"]), "here")
     with pytest.raises(InputError, match="more than 5000000 entries"):
@@ -521,17 +523,20 @@ def test_no_orientation_is_applied(samples, compression, tmp_path):
 
 
 @pytest.mark.parametrize("samples", [1, 3])
-def test_a_reduced_picture_is_not_the_picture(samples, tmp_path):
-    """Before or after the picture, a smaller copy of it (NewSubfileType 1) is left alone; two pictures are refused."""
-    values = picture(np.uint16, samples)
+@pytest.mark.parametrize("big", [False, True], ids=["classic", "BigTIFF"])
+def test_a_reduced_picture_is_not_the_picture(samples, big, tmp_path):
+    """Before or after the picture a smaller copy (NewSubfileType 1) is left alone; of two pictures none is taken."""
+    values, file = picture(np.uint16, samples), tmp_path / "a.tif"
     smaller = np.ascontiguousarray(values[::2, ::2])
     for kinds, refused in (((1, 0), False), ((0, 1), False), ((0, 0), True)):
-        with tifffile.TiffWriter(tmp_path / "a.tif") as tiff:
+        with tifffile.TiffWriter(file, bigtiff=big) as tiff:
             for kind in kinds:
                 tiff.write(smaller if kind else values, subfiletype=kind, metadata=None)
         for read in (lambda path: read_photograph(path).values, *[read_digital_numbers] * (samples == 1)):
             with pytest.raises(CaptureError, match="a TIFF of 2 pages") if refused else contextlib.nullcontext():
-                assert np.array_equal(read(tmp_path / "a.tif"), values)
+                assert np.array_equal(read(file), values)
+    tifffile.imwrite(file, values, subfiletype=1, metadata=None, bigtiff=big)  # a writer that marks all as reduced
+    assert samples > 1 or np.array_equal(read_tiff_pixels(file, 0), values)
 
 
 @pytest.mark.parametrize(

@@ -89,8 +89,8 @@ def test_outputs_are_two_files_and_folders_never_replaced(tmp_path):
         storage.check_outputs(loop, force=True)
     with pytest.raises(OutputError, match="cannot write"):
         storage.write_text_atomic(loop, "new")
-    storage.check_new_folder(tmp_path)
-    storage.check_new_folder(tmp_path / "a" / "b")
+    storage.check_new_folder(tmp_path / "a")
+    storage.check_new_folder(tmp_path / "b" / "c")
     (tmp_path / "file").touch()
     with pytest.raises(OutputRefused, match="Not a directory"):
         storage.check_new_folder(tmp_path / "file" / "b")

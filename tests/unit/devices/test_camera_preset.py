@@ -10,17 +10,13 @@ from radiometer.errors import CalibrationError, ConfigurationError, SettingOutOf
 
 
 def test_shipped_blackfly_has_the_figures_of_its_specification_page():
-    """Sensor size, pitch, bits, exposure and gain limits are those that FLIR states."""
+    """Sensor, pitch, bits and limits are those that FLIR states; the response per watt is highest at 580 nm."""
     preset = CameraPreset.shipped("BFS-U3-19S4M")
     limits = preset.require_limits("test")
     assert (limits.width, limits.height) == (1616, 1240)
     assert (preset.camera.pixel_pitch_um, preset.camera.bit_depth) == (4.5, 12)
     assert limits.exposure_s == (11e-6, 30.0)
     assert limits.gain_db == (0.0, 47.9943)
-
-
-def test_shipped_blackfly_has_the_spectral_response_of_its_family():
-    """Per watt: highest at 580 nm, a half at 400 and at 820 nm, nothing to speak of at 1100; the origin is reported."""
     response = CameraPreset.shipped("BFS-U3-19S4M").spectral_response
     assert response is not None
     nm, relative = np.array(response.wavelength_nm), np.array(response.relative)
@@ -91,15 +87,9 @@ def test_file_of_another_camera_is_refused(other):
 
 @pytest.mark.parametrize(
     ("value", "reported"),
-    [
-        (50.0, "50 dB"),
-        (48.00000001, "48.00000001 dB"),
-        (-1e-9, "-1e-09 dB"),
-        (48.0 + 7.2e-15, "48.000000000000007 dB"),
-        (float("nan"), "nan dB"),
-    ],
+    [(float("nan"), "nan"), (48.00000001, "48.00000001"), (-1e-9, "-1e-09"), (48.0 + 7.2e-15, "48.000000000000007")],
 )
 def test_a_hair_beyond_is_seen(value, reported):
     """48 dB is not out of a range that ends at 48 dB; 48.00000001 dB is."""
     error = SettingOutOfRange("camera", "gain", value, 0.0, 48.0, "dB")
-    assert str(error) == f"camera: gain {reported} is out of range; allowed is 0 to 48 dB"
+    assert str(error) == f"camera: gain {reported} dB is out of range; allowed is 0 to 48 dB"

@@ -52,7 +52,7 @@ def test_bands_and_cameras_are_not_mixed(write_raw_tiff, write_fits):
 
 
 def test_the_makers_models_in_figures():
-    """1 + k₁·r + k₂·r² at a corner; row 500 at 1 ms gains 5 % less a₃ a row; terms x and y² over a frame of 0 to 1."""
+    """Fall-off and row gain by hand; XMP is read as attributes and as sequences, a damaged packet gives none."""
     model = FallOff((30.0, 40.0), (-0.001, -1e-4))
     assert model.corners((81, 61))[0] == pytest.approx(1 - 0.05 - 0.25)
     assert model.relative_illumination(np.array([30.0]), np.array([40.0]))[0] == 1.0
@@ -60,6 +60,15 @@ def test_the_makers_models_in_figures():
     properties = {"VignettingPolynomial2DName": ("0,0,1,0,0,2",), "VignettingPolynomial2D": ("1,0.2,-0.4",)}
     middle = 1 + 0.1 - 0.1
     assert corners_of_plane(properties) == pytest.approx(np.array([1.0, 1.2, 0.6, 0.8]) / middle)
+    packet = (
+        b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><r:RDF xmlns:r="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
+        b'<r:Description xmlns:c="u" c:T="32.5"><c:S><r:Seq><r:li>1,2</r:li><r:li>3</r:li></r:Seq></c:S>'
+        b"</r:Description></r:RDF></x:xmpmeta>"
+    )
+    found = read_xmp(packet)
+    assert numbers(found, "T") == (32.5,)
+    assert numbers(found, "S") == (1.0, 2.0, 3.0)
+    assert read_xmp(packet[:-60]) == {}
 
 
 def test_the_frame_carries_corners_and_row_gain(write_raw_tiff):
@@ -82,19 +91,6 @@ def test_rows_that_are_exposed_for_times_of_their_own_are_recognised_by_the_entr
     doubts = open_capture(path.parent).header.model_extra["imported"]["doubts"]
     (line,) = [line for line in doubts if "row_dependent_exposure" in line]
     assert "+0.8 to +1.6 % more light than the first" in line
-
-
-def test_xmp_attributes_and_sequences():
-    """Properties are read as attributes and as sequences; a damaged packet gives none."""
-    packet = (
-        b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><r:RDF xmlns:r="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
-        b'<r:Description xmlns:c="u" c:T="32.5"><c:S><r:Seq><r:li>1,2</r:li><r:li>3</r:li></r:Seq></c:S>'
-        b"</r:Description></r:RDF></x:xmpmeta>"
-    )
-    found = read_xmp(packet)
-    assert numbers(found, "T") == (32.5,)
-    assert numbers(found, "S") == (1.0, 2.0, 3.0)
-    assert read_xmp(packet[:-60]) == {}
 
 
 def test_plain_photographs_are_not_taken_for_raw_frames(tmp_path, write_raw_tiff):
@@ -280,14 +276,6 @@ def test_a_temperature_in_kelvins(write_fits):
     assert found.header.frames[0].temperature_C == pytest.approx(-5.0)
 
 
-def test_frames_stand_in_the_order_they_were_taken(write_fits):
-    """Times count from the first frame, whatever the names."""
-    write_fits("s/b.fits", FITS_PICTURE, EXPTIME=1.0, IMAGETYP="dark", DATE_OBS="2020-01-01T00:00:10")
-    folder = write_fits("s/a.fits", FITS_PICTURE, EXPTIME=1.0, IMAGETYP="dark", DATE_OBS="2020-01-01T00:01:10").parent
-    entries = open_capture(folder).header.frames
-    assert [(e.file, e.timestamp_s) for e in entries] == [("b.fits", 0.0), ("a.fits", 60.0)]
-
-
 @pytest.mark.parametrize("name", ["dark_0c_1m30s.fits", "dark-expos90s-x.fits", "dark_90000ms.fits", "d_1p5min.fits"])
 def test_a_name_that_contradicts_its_header_is_doubted(write_fits, name):
     """A file called expos1 that holds 60 s is taken as 60 s and named; minutes, seconds and ms that agree are not."""
@@ -312,12 +300,16 @@ def test_processing_and_an_unsettled_cooler_are_doubted(write_fits):
 
 
 def test_a_cube_is_one_frame_per_plane(write_fits):
-    """Planes of a cube share the header and keep their order."""
+    """Planes of a cube keep their order; files stand by their times, which count from the first."""
     path = write_fits(
         "c.fits", np.stack([FITS_PICTURE, FITS_PICTURE + 1, FITS_PICTURE + 2]).astype(np.uint16), EXPTIME=1.0
     )
     capture = open_capture(path)
     assert [int(frame.dn[0, 0]) for frame in capture.frames()] == [1000, 1001, 1002]
+    write_fits("s/b.fits", FITS_PICTURE, EXPTIME=1.0, IMAGETYP="dark", DATE_OBS="2020-01-01T00:00:10")
+    folder = write_fits("s/a.fits", FITS_PICTURE, EXPTIME=1.0, IMAGETYP="dark", DATE_OBS="2020-01-01T00:01:10").parent
+    entries = open_capture(folder).header.frames
+    assert [(e.file, e.timestamp_s) for e in entries] == [("b.fits", 0.0), ("a.fits", 60.0)]
 
 
 def test_crop_and_sampling(write_fits):
@@ -348,26 +340,18 @@ def test_the_fall_off_of_a_part_is_that_of_its_place(options, write_fits):
 
 
 def test_floating_point_needs_a_full_scale(write_fits):
-    """Floats are refused with the option that takes them; with it, full scale becomes 65535."""
+    """Refused with the option that takes each; whole numbers up to 65535 are kept, a full scale above scales them."""
     path = write_fits("f.fits", np.linspace(0, 2, 48 * 64).reshape(48, 64).astype(np.float32), EXPTIME=1.0)
     with pytest.raises(CaptureError, match="--full-scale"):
         open_capture(path)
     dn = open_capture(path, ImportOptions(full_scale=4.0)).read_frame(0).dn
     assert (int(dn[0, 0]), int(dn[-1, -1])) == (0, round(65535 * 2 / 4))
-
-
-def test_integers_of_32_bits_are_kept_where_they_fit(write_fits):
-    """A stated full scale of up to 65535 leaves whole numbers, one above scales them; a value above it is refused."""
     path = write_fits("i.fits", FITS_PICTURE.astype(np.int32) * 10, EXPTIME=1.0)
     assert np.array_equal(open_capture(path, ImportOptions(full_scale=65535)).read_frame(0).dn, FITS_PICTURE * 10)
     scaled = open_capture(path, ImportOptions(full_scale=131070)).read_frame(0).dn
     assert int(scaled[0, 0]) == 5000
     with pytest.raises(CaptureError, match="above the full scale"):
         open_capture(path, ImportOptions(full_scale=20_000))
-
-
-def test_negative_numbers_need_a_pedestal(write_fits):
-    """A dark-subtracted frame is refused with the pedestal that takes it."""
     path = write_fits("n.fits", FITS_PICTURE.astype(np.int16) - 1040, EXPTIME=1.0)
     with pytest.raises(CaptureError, match="--pedestal 40"):
         open_capture(path)

@@ -31,17 +31,13 @@ def _folder(path, mosaic, **more):
 
 
 def test_raw_file_gives_the_sensors_values(tmp_path):
-    """Each colour of the mosaic comes out unscaled at half size, 12 bits, with its black level."""
+    """Each colour comes out unscaled at half size, with its black level; values at the white level are saturated."""
     folder = _folder(tmp_path / "a", _plain_colours())
     frames = [bracket.light[0] for bracket in read_photographs(folder, "each")]
     assert [np.unique(frame.dn).tolist() for frame in frames] == [[RED], [GREEN_1], [BLUE]]
     assert [frame.shape for frame in frames] == [(32, 48)] * 3
     assert {frame.bit_depth for frame in frames} == {12}
     assert frames[0].settings.black_level_dn == 64.0
-
-
-def test_raw_white_level_counts_as_saturated(tmp_path):
-    """Values at the file's white level, here below 2^12 − 1, are saturated."""
     folder = _folder(tmp_path / "a", _plain_colours(10.0, 3800), white_dn=3800)
     frame = read_photographs(folder, "blue")[0].light[0]
     assert frame.saturated_dn == int(frame.dn.max()) == 3800

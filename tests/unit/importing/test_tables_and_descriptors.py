@@ -70,11 +70,13 @@ def descriptor(tmp_path):
 
 
 def test_an_exposure_of_zero_is_a_dark_frame(descriptor):
-    """d 0 is a bias pair; nanoseconds become seconds."""
+    """d 0 is a bias pair; nanoseconds become seconds; a negative exposure is refused by its line."""
     path = descriptor([("d 0", 100), ("b 1000000 500", 900)])
     dark, light = open_capture(path).header.frames
     assert (dark.exposure_s, dark.shutter) == (0, "closed")
     assert (light.exposure_s, light.photons, light.source_level) == (1e-3, 500, 1.0)
+    with pytest.raises(InputError, match="line 3"):
+        EmvaListing.read(descriptor([("b -5 100", 10)]))
 
 
 @pytest.mark.parametrize(
@@ -94,12 +96,6 @@ def test_photons_count_where_light_does_not_follow_exposure(descriptor, lines, l
     assert [e.source_level for e in capture.header.frames] == levels
     assert all(e.exposure_s > 0 for e in capture.header.frames[1:])
     assert doubt is None or any(doubt in line for line in imported_of(capture).doubts)
-
-
-def test_a_negative_exposure_is_refused(descriptor):
-    """The line is named."""
-    with pytest.raises(InputError, match="line 3"):
-        EmvaListing.read(descriptor([("b -5 100", 10)]))
 
 
 CONFIGS = sorted((Path(__file__).resolve().parents[3] / "configs" / "importing").glob("*.yaml"))

@@ -78,14 +78,6 @@ def test_exif_dial_times_become_exact_stops(tmp_path):
     assert bracket.light[0].extra["nominal_exposure_s"] == pytest.approx(1 / 60)
 
 
-def test_higher_iso_counts_as_gain(tmp_path):
-    """Twice the ISO speed is a gain of 6.02 dB relative to the lowest one in the folder."""
-    _jpeg(tmp_path, "a.jpg", 50, time=0.1, iso=100)
-    _jpeg(tmp_path, "b.jpg", 100, time=0.1, iso=200)
-    gains = [f.settings.gain_db for f in read_photographs(tmp_path, "green")[0].light]
-    assert gains == pytest.approx([0.0, 6.0206], abs=1e-4)
-
-
 def test_each_channel_is_a_bracket_of_its_own(tmp_path):
     """ "each" gives red, green and blue; the values are those of the file."""
     _jpeg(tmp_path, "a.jpg", 80, time=0.1)
@@ -244,7 +236,11 @@ def test_times_of_a_camera_without_a_dial_stand_for_no_stops(tmp_path):
 
 
 def test_a_photograph_without_an_iso_speed_among_several_speeds_is_refused(tmp_path):
-    """At ISO 100 and 200 one that states none may be either; where all others state one speed it counts for nothing."""
+    """Twice the speed is 6.02 dB; one that states none counts for nothing among others of one speed only."""
+    _jpeg(tmp_path, "a.jpg", 50, time=0.1, iso=100)
+    _jpeg(tmp_path, "b.jpg", 100, time=0.1, iso=200)
+    gains = [f.settings.gain_db for f in read_photographs(tmp_path, "green")[0].light]
+    assert gains == pytest.approx([0.0, 6.0206], abs=1e-4)
     for name, level, iso in (("a.jpg", 50, 100), ("b.jpg", 100, None), ("c.jpg", 200, 100)):
         _jpeg(tmp_path, name, level, time=level / 400, iso=iso)
     assert {f.settings.gain_db for f in read_photographs(tmp_path, "red")[0].light} == {0.0}

@@ -26,7 +26,7 @@ from radiometer.reconciliation.shared_errors import (
     shared_errors,
     whiteners,
 )
-from radiometer.reconciliation.statistics import STATISTICS, Given, Prediction, Scale, family_of, named
+from radiometer.reconciliation.statistics import STATISTICS, Given, Prediction, Scale, Scatter, family_of, named
 from simulators.effects.base import EXPOSURE, Stage, parameter
 from simulators.effects.brighter_fatter import push_of
 from simulators.effects.catalogue import Scaling
@@ -299,3 +299,14 @@ def test_effect_that_cannot_be_is_refused_by_name(declared):
     """Where an effect leads to what no camera does, the search is told which it was, and goes on without it."""
     with pytest.raises(UnfitError, match="impossible"):
         included(declared, _Impossible(0.5))
+
+
+@pytest.mark.parametrize("electrons", [0.2, 50.0])
+def test_noise_of_photons_has_the_excess_kurtosis_of_their_number(declared, electrons):
+    """One over it, up to 1: a pixel that counts 50 e- at half a DN each has 0.02 beyond that of rounding."""
+    ones, found = np.ones_like(declared.prediction.variance), declared.prediction
+    photons = replace(
+        found, signal=electrons * ones, gain=np.full_like(found.gain, 0.5), variance=0.25 * electrons * ones
+    )
+    scatter = Scatter(declared.design, declared.comparison.seen, photons, ones > 0.0)
+    assert scatter.kurtosis - photons.kurtosis == pytest.approx(min(1.0 / electrons, 1.0) * ones, rel=1e-6)

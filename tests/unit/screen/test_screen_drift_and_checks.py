@@ -72,7 +72,7 @@ class _Warming:
 
 
 def test_linear_drift_is_taken_out_to_rounding() -> None:
-    """A level measured while the lamp fades linearly comes out as at its mean output."""
+    """A level under a linear fade is as at the mean output; white that scatters by 0.5 % gives √0.5 times that."""
     whites = [Measured(ScreenStep("grey", 255, "white"), (_reading(1 - 0.001 * t, t),)) for t in (0.0, 10.0, 20.0)]
     levels = [
         Measured(ScreenStep("grey", n), (_reading(n / 255 * (1 - 0.001 * t), t),))
@@ -81,10 +81,6 @@ def test_linear_drift_is_taken_out_to_rounding() -> None:
     curves, drift = curves_of([*whites, *levels], {"grey": Light(320, 700, "x")})
     assert curves["grey"].radiance == pytest.approx((0.0, 128 / 255 * 0.99, 0.99), rel=1e-12)
     assert drift.range_rel == pytest.approx(0.02 / 0.99)
-
-
-def test_scatter_of_references_is_the_drifts_uncertainty() -> None:
-    """White that scatters by 0.5 % gives levels between references √0.5 times that, within 4 sigmas of its estimate."""
     rng = np.random.default_rng(3)
     whites = [_reading(1 + 0.005 * rng.standard_normal(), 10.0 * t, u=0.0) for t in range(400)]
     expected, sigma = 0.005 * np.sqrt(0.5), 0.005 * np.sqrt(0.5) / np.sqrt(2 * 400 / 2)
@@ -121,13 +117,9 @@ def test_flicker_is_scatter_beyond_noise() -> None:
 
 
 def test_uniformity_is_relative_to_the_middle() -> None:
-    """Corners at 90 % show as such."""
+    """Corners at 90 % show as such; three primaries add up to white when two blacks are taken away."""
     seen = Uniformity.of([[0.9, 1.8, 0.9], [1.9, 2.0, 1.9], [1.8, 2.1, 1.8]], 0.001)
     assert (seen.lowest, seen.highest) == (0.45, 1.05)
-
-
-def test_additivity_takes_the_black_out() -> None:
-    """Three primaries each with the black in it add up to white when two blacks are taken away."""
     assert additivity({"grey": 1.0, "red": 0.31, "green": 0.41, "blue": 0.3}, 0.01) == pytest.approx(0.0)
     assert additivity({"grey": 1.0}, 0.0) is None
 
@@ -170,26 +162,25 @@ def test_camera_that_looks_elsewhere_is_found_out_at_once() -> None:
 
 
 def test_value_at_a_measured_level_has_its_own_and_the_common_uncertainty(grey: ChannelCurve) -> None:
-    """At white u is 0.1 % of the level and 1 % of the scale in quadrature; luminances are 320 and 700 lm/W of it."""
+    """u is that of the level and 1 % of the scale in quadrature; under the detection limit it is half that limit."""
     white = grey.radiance_at(255)
     assert white.value == pytest.approx(0.7001)
     assert white.u_rel == pytest.approx(math.hypot(0.001, 0.01), rel=1e-6)
     radiance, luminance, scotopic = (grey.at(128, unit) for unit in (RADIANCE, LUMINANCE, SCOTOPIC))
     assert (luminance.value, scotopic.value) == pytest.approx((320 * radiance.value, 700 * radiance.value))
     assert luminance.u_rel == pytest.approx(radiance.u_rel)
+    dim = dataclasses.replace(grey, detection_limit=1e-3)
+    assert dim.radiance_is_lost(0)
+    assert dim.radiance_at(0).u == pytest.approx(5e-4, rel=1e-3)
 
 
 def test_interpolating_adds_uncertainty_between_levels_only(grey: ChannelCurve) -> None:
-    """On a display that is linear the power-law table misses something in the lowest gap, and u there says so."""
+    """A linear display misses the table in the lowest gap, and u says so; the known curve is met within k = 2."""
     linear = dataclasses.replace(
         grey, radiance=tuple(0.7 * n / 255 for n in grey.levels), u_independent=(1e-6,) * len(grey.levels)
     )
     middle = linear.u_shape_at((linear.levels[0] + linear.levels[1]) / 2)
     assert middle > 100 * linear.u_shape_at(linear.levels[1]) == pytest.approx(1e-4)
-
-
-def test_truth_between_levels_lies_within_twice_the_shape_uncertainty(grey: ChannelCurve) -> None:
-    """The known curve is met at levels that were not measured, within k = 2 of what is claimed without the scale."""
     for level in range(0, 256, 5):
         truth = 1e-4 + 0.7 * (level / 255) ** 2.2
         assert abs(grey.radiance_at(level).value - truth) <= 2 * grey.u_shape_at(level) + 1e-12, level
@@ -225,13 +216,6 @@ def test_what_no_screen_has_is_refused_with_what_it_has(screen: ScreenCalibratio
     """Targets out of reach, unknown channels and units, too few levels or references: the message gives what is."""
     with pytest.raises(error, match=message):
         ask(screen)
-
-
-def test_below_detection_the_uncertainty_covers_the_limit(grey: ChannelCurve) -> None:
-    """A level under the detection limit is known to half that limit, not to its tiny stated u."""
-    dim = dataclasses.replace(grey, detection_limit=1e-3)
-    assert dim.radiance_is_lost(0)
-    assert dim.radiance_at(0).u == pytest.approx(5e-4, rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -326,11 +310,13 @@ def test_gamma_is_as_uncertain_as_noise_or_misfit_makes_it():
 
 
 def test_table_goes_through_its_points_and_meets_a_power_law_between_them() -> None:
-    """Measured values stay; a power law of 2.2 is a straight line to the table: nothing is missed between 9 points."""
+    """Measured values stay, a power law is met between nine points; the better known of two out of order stays."""
     levels, values = np.array([0.0, 0.3, 0.6, 1.0]), np.array([0.1, 10.0, 60.0, 250.0])
     assert LevelTable(levels, values).at(levels) == pytest.approx(values, rel=1e-12)
     levels, fine = np.linspace(0, 1, 9), np.linspace(0, 1, 101)
     assert LevelTable(levels, levels**2.2).at(fine) == pytest.approx(fine**2.2, rel=1e-9, abs=1e-12)
+    fitted = rising([1.0, 3.0, 2.0, 4.0], [0.1, 1.0, 0.01, 0.1])
+    assert fitted[1] == fitted[2] == pytest.approx(2.0, abs=1e-3)
 
 
 @given(st.lists(st.floats(0, 1000), min_size=3, max_size=20))
@@ -342,12 +328,6 @@ def test_values_never_fall_and_the_inverse_leads_back(numbers: list[float]) -> N
     assert np.all(np.diff(fine) >= -1e-9 * max(values.max(), 1e-300))
     target = float(values[0] + 0.37 * (values[-1] - values[0]))
     assert float(table.at(table.level_of(target))) >= target * (1 - 1e-9)
-
-
-def test_rising_weighs_by_uncertainty() -> None:
-    """Of two values in the wrong order the better known one stays nearly where it is."""
-    fitted = rising([1.0, 3.0, 2.0, 4.0], [0.1, 1.0, 0.01, 0.1])
-    assert fitted[1] == fitted[2] == pytest.approx(2.0, abs=1e-3)
 
 
 @pytest.mark.parametrize(("shared_u_rel", "agrees"), [(0.0, True), (0.005, False)])
@@ -809,10 +789,16 @@ def test_a_primary_of_which_only_the_top_was_read_has_the_shape_of_grey():
 
 
 def test_readings_that_zigzag_by_levels_are_as_doubtful():
-    """Five levels ± 4 cd/m² about a straight line in turn: each is 8/√1.5 off the line through its neighbours."""
+    """Five levels ± 4 cd/m² in turn are 8/√1.5 off; in the first gap a straight line is as likely as the power law."""
     values = {min(64 * k, 255): [100.0 + 30.0 * k + 4.0 * (-1) ** k] for k in range(5)}
     curve = imported(ScreenReadings("x", values), lights(), 0.04, "x").channel("grey")
     assert curve.u_independent[2] * curve.photopic_lm_per_w == pytest.approx(8.0 / np.sqrt(1.5), rel=0.05)
+    values = {n: [0.1 + 100 * (n / 255) ** 2.2] for n in (0, 64, 128, 192, 255)}
+    curve = imported(ScreenReadings("x", values), lights(), 0.04, "x").channel("grey")
+    rise = values[64][0] - values[0][0]
+    u = curve.u_shape_at(32) * curve.photopic_lm_per_w
+    apart = (0.5 - 0.5**2.2) * rise / np.sqrt(3)
+    assert apart <= u < 2 * apart
 
 
 def test_cal_needs_whites_luminance_and_is_inverted(tmp_path):
@@ -934,16 +920,6 @@ def test_steps_that_come_back_and_a_wide_gap_above_black_are_in_the_uncertainty(
     readings = read_screen_readings(shared_data / "displays" / file)
     assert np.mean(pulls(readings, step, 0.02) <= 2) >= 0.93
     assert np.sqrt(np.mean(pulls(readings, step) ** 2)) > 1 / 7
-
-
-def test_above_black_the_straight_line_is_as_likely_as_the_power_law():
-    """Levels 0 and 64 of a gamma of 2.2: halfway up the first gap they are 28 % of its rise apart: u is that by √3."""
-    values = {n: [0.1 + 100 * (n / 255) ** 2.2] for n in (0, 64, 128, 192, 255)}
-    curve = imported(ScreenReadings("x", values), lights(), 0.04, "x").channel("grey")
-    rise = values[64][0] - values[0][0]
-    u = curve.u_shape_at(32) * curve.photopic_lm_per_w
-    apart = (0.5 - 0.5**2.2) * rise / np.sqrt(3)
-    assert apart <= u < 2 * apart
 
 
 def test_command_imports_and_says_what_it_took(tmp_path, capsys):

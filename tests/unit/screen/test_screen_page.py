@@ -110,10 +110,18 @@ def test_a_page_that_does_not_show_what_it_was_sent_is_an_error(answer, timeout_
 
 
 def test_no_browser_is_a_timeout_that_repeats_the_address() -> None:
-    """The user gets the address to open."""
+    """The user gets the address to open; a page whose Start no one presses is no reason to begin, pressing it is."""
     display = BrowserDisplay(page_timeout_s=0.1)
     with pytest.raises(DeviceTimeout, match=r"http://127\.0\.0\.1:\d+/\?key="):
         display.open()
+    waiting = FakePage()
+    display = BrowserDisplay(announce=waiting.open, page_timeout_s=10, start_timeout_s=0.2)
+    with pytest.raises(DeviceTimeout, match="Start was not pressed"):
+        display.open()
+    pressed = FakePage(hello=("hello", "ready"))
+    with BrowserDisplay(announce=pressed.open, page_timeout_s=10, start_timeout_s=10) as begun:
+        begun.show(DisplayPatch((1, 1, 1)))
+    assert pressed.orders[0]["rgb"] == [255, 255, 255]
 
 
 @pytest.mark.parametrize("request_head", ["POST / HTTP/1.1\r\nContent-Length: -5", f"GET /{'a' * 100_000} HTTP/1.1"])
@@ -128,18 +136,6 @@ def test_nonsense_of_another_program_is_refused_in_silence(request_head: str) ->
             assert b" 400 " in client.recv(1000)
     logging.getLogger().removeHandler(logged)
     assert [record.getMessage() for record in logged.buffer] == []
-
-
-def test_measuring_waits_for_start() -> None:
-    """A page that is open but whose Start no one presses is no reason to begin; pressing it is."""
-    waiting = FakePage()
-    display = BrowserDisplay(announce=waiting.open, page_timeout_s=10, start_timeout_s=0.2)
-    with pytest.raises(DeviceTimeout, match="Start was not pressed"):
-        display.open()
-    pressed = FakePage(hello=("hello", "ready"))
-    with BrowserDisplay(announce=pressed.open, page_timeout_s=10, start_timeout_s=10) as begun:
-        begun.show(DisplayPatch((1, 1, 1)))
-    assert pressed.orders[0]["rgb"] == [255, 255, 255]
 
 
 def test_page_is_served_whole_to_who_has_the_key(shown: tuple[BrowserDisplay, FakePage]) -> None:

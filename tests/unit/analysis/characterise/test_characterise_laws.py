@@ -1003,6 +1003,9 @@ def test_a_table_of_statistics_is_characterised(tmp_path):
     assert figures["mu_I_var"].value == pytest.approx(2.5 / 0.25**2, rel=0.01)
     assert figures["sigma_d"].value == pytest.approx(math.sqrt(9 - 1 / 12) / 0.25, rel=0.01)
     assert "DSNU_1288" not in figures
+    (tmp_path / "t.csv").write_text("exposure_ms,mean_dn,var,spatial_var,floor_share\n10,64,9,4,0.2\n")
+    (stated,) = read_subject(tmp_path / "t.csv").given
+    assert (stated.variance_dn2, stated.spatial_variance_dn2, stated.floor_share) == (9.0, 4.0, 0.2)
 
 
 @pytest.mark.slow

@@ -1,8 +1,11 @@
 """Chromaticity, colour temperature and Duv compared with the standard, a peer, and drawn lights."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from radiometer.analysis.colour.chart import read_chart
 from radiometer.analysis.colour.chromaticity import coordinates, matching_functions, tristimulus
 from radiometer.analysis.photometry.photometry import Spectrum, luminous_efficiency, spectrum
 
@@ -74,3 +77,15 @@ def test_uncertainties_are_those_of_drawn_lights() -> None:
         assert found.uv_covariance[n] == pytest.approx(np.cov(drawn.uv_prime.T), rel=0.05)
         assert found.u_cct_k[n] == pytest.approx(np.std(drawn.cct_k), rel=0.03)
         assert found.u_duv[n] == pytest.approx(np.std(drawn.duv), rel=0.03)
+
+
+def test_a_chart_states_u_of_its_lights_or_none(tmp_path: Path) -> None:
+    """As a relative figure of each light; without the column they are exact, and without places they have none."""
+    chart = tmp_path / "chart.csv"
+    chart.write_text("name,kind,X,Y,Z,u_rel\nred,leds,3,2,1,0.02\nblue,leds,1,2,9,0.05\n")
+    assert [(one.u_rel, one.patch, one.capture) for one in read_chart(chart)] == [
+        (0.02, None, None),
+        (0.05, None, None),
+    ]
+    chart.write_text("name,kind,X,Y,Z\nred,leds,3,2,1\n")
+    assert [one.u_rel for one in read_chart(chart)] == [0.0]

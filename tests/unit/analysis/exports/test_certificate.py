@@ -97,9 +97,9 @@ def test_a_calibration_and_what_is_read_are_certified(project_root, laboratory, 
     name, scale, k = made.content.results[0]
     assert (name, scale.unit, k) == ("exposure per unit of the linear signal", "J m-2", 2.0)
     assert scale.u > 0
-    rm.certificate(reading(), tmp_path / "c.xml", laboratory=laboratory, identifier="1")
-    assert read_certificate(tmp_path / "c.xml", "W sr-1 m-2") == Quantity(0.3, pytest.approx(0.003), "W sr-1 m-2")
-    assert read_certificate(tmp_path / "c.xml", "cd m-2").u == pytest.approx(1.2)
+    rm.certificate(reading(), tmp_path / "s.xml", laboratory=laboratory, identifier="1")
+    assert read_certificate(tmp_path / "s.xml", "W sr-1 m-2") == Quantity(0.3, pytest.approx(0.003), "W sr-1 m-2")
+    assert read_certificate(tmp_path / "s.xml", "cd m-2").u == pytest.approx(1.2)
     (tmp_path / "r.json").write_text(json.dumps(reading().to_mapping()))
     of_file = rm.certificate(tmp_path / "r.json", laboratory=laboratory, identifier="1")
     assert of_file.content.results == rm.certificate(reading(), laboratory=laboratory, identifier="1").content.results

@@ -387,10 +387,10 @@ def test_u_behind_a_curve_is_that_of_the_best_weights():
     calibration = _behind_a_curve()
     rate = np.geomspace(2e-4, 0.9, 3000)
     numbers = np.rint(255.0 * np.minimum(rate * TIMES[:, None], 1.0) ** (1.0 / GAMMA))
-    frames = [
+    photographs = [
         Frame(dn.astype(np.uint8)[None, :], 8, FrameSettings(float(t))) for dn, t in zip(numbers, TIMES, strict=True)
     ]
-    found = merge(Bracket.from_frames(frames), Setup(calibration.camera, SUMS_LENS, calibration))
+    found = merge(Bracket.from_frames(photographs), Setup(calibration.camera, SUMS_LENS, calibration))
     clear = (np.abs(np.log(rate[:, None] * TIMES)) > 0.3).all(axis=1)  # no frame near its end says "at least so much"
     ratio = found.u_radiance[0] / _expected_u(rate)
     assert ratio[clear] == pytest.approx(1.0, abs=0.025)

@@ -18,7 +18,7 @@ from radiometer.analysis.reading.budget import conditions_of, local_scatter
 from radiometer.analysis.reading.monte_carlo import propagate_distributions
 from radiometer.analysis.reading.reading import patch_situation, read_patch
 from radiometer.analysis.signal.model import crop_frames, signal_model
-from radiometer.analysis.signal.situation import situation_of
+from radiometer.analysis.signal.situation import situation_of, spectral_correction
 from radiometer.data import (
     BlackLevel,
     Bracket,
@@ -206,6 +206,9 @@ def test_another_spectrum_is_corrected_by_the_camera_s_response(rig):
     assert moved.radiance.value / plain.radiance.value == pytest.approx(1 / 1.2, rel=1e-9)
     assert u_rel_of(moved, "spectral assumption") == pytest.approx(0.03)
     assert any("mismatch factor" in text for text in moved.provenance.assumptions)
+    known = of_spectra(rig.calibration(), "line:500", "line:600", silicon())
+    relative = replace(known, scale=known.scale.model_copy(update={"method": "relative"}))
+    assert (spectral_correction(relative), spectral_correction(known)[0]) == ((1.0, ()), pytest.approx(1 / 1.2))
 
 
 @pytest.mark.parametrize(("last_nm", "refused"), [(700.0, True), (780.0, False)])
@@ -707,6 +710,11 @@ def test_copies_of_light_and_dark_frames_change_nothing(copies: int) -> None:
     assert np.all(np.array(u_of([*dark, *light, *more]))[1:] < np.array(once)[1:])
     found = read_patch([*dark, *light, light[0]], WHERE, Setup(CAMERA))
     assert "1 frame is a copy of another to the last pixel: no exposure counts twice" in found.provenance.assumptions
+    further = light[0].dn.copy()
+    further[1:] += 1  # not by its first row alone
+    other = replace(light[0], dn=further)
+    found = read_patch([*dark, *light, other], WHERE, Setup(CAMERA))
+    assert not any("copy" in text for text in found.provenance.assumptions)
 
 
 def test_copied_files_of_a_folder_count_once(tmp_path: Path) -> None:

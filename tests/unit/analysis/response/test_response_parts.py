@@ -523,14 +523,15 @@ def test_fog_is_seen_whatever_one_label_says(wrong, ratio):
 
 
 @pytest.mark.parametrize(
-    ("neighbour", "count", "piled"), [(10, 80, False), (10, 81, True), (1, 8, False), (1, 9, True)]
+    ("counts", "black_dn"),
+    [([80, 10], 0), ([81, 10], 1000), ([8, 1], 0), ([9, 1], 1000), ([500, 400, 10], 1001)],
 )
-def test_the_lowest_value_is_black_where_it_piles_up(neighbour, count, piled):
-    """Above eight times the mean of the eight values next above it."""
-    counts = {1000: count, **dict.fromkeys(range(1001, 1009), neighbour)}
-    dn = np.repeat([*counts, 2000], [*counts.values(), 10 - sum(counts.values()) % 10])
+def test_the_lowest_value_is_black_where_it_piles_up(counts, black_dn):
+    """Above eight times the mean of the eight values next above it, and with it the next one that does."""
+    many = dict(zip(range(1000, 1010), counts + counts[-1:] * 8, strict=False))
+    dn = np.repeat([*many, 2000], [*many.values(), 10 - sum(many.values()) % 10])
     found = find_limits([Bracket.from_frames([frame(dn), frame(dn, 2.0)])])
-    assert found.black_dn == (1000 if piled else 0)
+    assert found.black_dn == black_dn
 
 
 def _frames(power, times=(1.0, 2.0, 4.0, 8.0, 16.0), black_dn=0.0, stated=None, scene=(-6.0, 0.0)):

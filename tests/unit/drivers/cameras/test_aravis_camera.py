@@ -150,19 +150,8 @@ def test_a_chunk_is_compared_to_the_cameras_own_step(set_us, chunk_us, step_s, i
     assert holds_other_settings(raw_frame(ExposureTime=chunk_us), settings, step_s) is is_other
 
 
-def test_a_chunk_in_whole_microseconds_does_not_coarsen_the_exposure():
-    """A register that says 11.4 µs is believed before a chunk of 11 µs; a chunk with decimals is believed itself."""
-    settings = CameraSettings(exposure_s=11.4e-6, pixel_format="Mono8")
-    quirks, lens = quirks_for("FLIR", "BFS-U3-19S4M"), LensDescription()
-    exposures = [
-        assemble(raw_frame(ExposureTime=chunk_us), settings, quirks, 8, lens, None).settings.exposure_s
-        for chunk_us in (11.0, 11.25, 14.0)
-    ]
-    assert exposures == pytest.approx([11.4e-6, 11.25e-6, 14e-6], rel=1e-12)
-
-
 def test_a_frame_carries_the_chunk_values():
-    """Where the camera says under which exposure a frame was taken, the frame says it too."""
+    """A frame says under which exposure it was taken; 11.4 µs of a register are believed before a chunk of 11 µs."""
     settings = CameraSettings(exposure_s=0.01, pixel_format="Mono8")
     quirks = quirks_for("FLIR", "BFS-U3-19S4M")
     lens = LensDescription(f_number=4.0)
@@ -171,3 +160,10 @@ def test_a_frame_carries_the_chunk_values():
     assert frame.settings.f_number == 4.0
     assert frame.settings.temperature_c == 41.0
     assert frame.extra == {"chunk_ExposureTime": 10_000.4}
+    settings = CameraSettings(exposure_s=11.4e-6, pixel_format="Mono8")
+    quirks, lens = quirks_for("FLIR", "BFS-U3-19S4M"), LensDescription()
+    exposures = [
+        assemble(raw_frame(ExposureTime=chunk_us), settings, quirks, 8, lens, None).settings.exposure_s
+        for chunk_us in (11.0, 11.25, 14.0)
+    ]
+    assert exposures == pytest.approx([11.4e-6, 11.25e-6, 14e-6], rel=1e-12)

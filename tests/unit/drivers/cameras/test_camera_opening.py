@@ -181,11 +181,13 @@ def test_a_family_is_known_by_vendor_model_and_info(vendor, model, info, discard
 
 
 def test_the_target_and_its_twin_alone_find_their_preset():
-    """USB3 and GigE model share a sensor and so a preset; another sensor, or a name that begins alike, has none."""
+    """They share a sensor and so a preset, other names have none; an unknown one is refused with those there are."""
     for model in ("BFS-U3-19S4M", "Blackfly S BFS-U3-19S4M", "BFS-PGE-19S4M", "Blackfly S BFS-PGE-19S4M-C"):
         assert quirks_for("FLIR", model).preset_of(model).model == "BFS-U3-19S4M"
     assert quirks_for("FLIR", "BFS-U3-51S5M").preset_of("BFS-U3-51S5M") is None
     assert not CameraMatch(vendor="FLIR", model="BFS-U3-19S4M").fits("FLIR", "BFS-U3-19S4M-SPECIAL")
+    with pytest.raises(ConfigurationError, match=r"BFS-U3-19S4M\.yaml"):
+        load_preset("BFS-U3-99")
 
 
 def test_every_figure_of_a_quirk_file_has_a_source():
@@ -194,12 +196,6 @@ def test_every_figure_of_a_quirk_file_has_a_source():
         text = path.read_text(encoding="utf-8")
         assert "sources:" in text, path
         assert "  discard_after_change:" in text, path
-
-
-def test_an_unknown_preset_is_refused_with_those_that_there_are():
-    """The message lists the presets."""
-    with pytest.raises(ConfigurationError, match=r"BFS-U3-19S4M\.yaml"):
-        load_preset("BFS-U3-99")
 
 
 GAMMA = FalsifyingFeature("GammaEnable", False, "digital numbers are bent")
@@ -344,14 +340,10 @@ def access(library_error) -> SettingsAccess:
 
 
 def test_the_camera_is_sent_microseconds_and_per_cent(access):
-    """5 ms are 5000 µs; 81.9 DN of 4095 are 2 %; 6 dB are 6 dB."""
+    """5 ms are 5000 µs, 81.9 DN of 4095 are 2 %; its own rounding comes back in s, dB and DN."""
     access.write(WANTED)
     assert access.camera.set == pytest.approx({"exposure_time": 5000.0, "gain": 6.0, "black_level": 2.0})
     assert access.camera.region == (16, 8, 64, 48)
-
-
-def test_what_is_read_back_is_what_the_camera_says(access):
-    """Its own rounding comes back in s, dB and DN: 4999.16 µs are not 5 ms."""
     access.write(WANTED)
     access.camera.set.update(exposure_time=4999.16, gain=5.9998, black_level=1.953125)
     found = access.read()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 from functools import cache
@@ -327,6 +328,23 @@ def test_ranges_go_with_the_converter_and_a_step_beyond() -> None:
     (exposure,) = (one for one in fx.ExposureTimeOffset.parameters() if one.name == "offset_s")
     assert exposure.bounds(65535.0) == (exposure.low, exposure.high)
     assert fx.AdcSaturation(65535.0).with_parameters(clip_dn=70646.4).clip_dn == 70646.4
+    wells = [one.full_well_e / 1e4 for one in fx.FullWellSaturation.starts(at())]  # of the declared full well
+    assert (wells[0], wells[-1]) == pytest.approx((1.0, 1 / 3), abs=0.04)
+    assert all(0.7 < after / before < 1.0 for before, after in itertools.pairwise(wells))
+
+
+@pytest.mark.parametrize(
+    "effect", [fx.DarkCurrent(10.0, 25.0, 7.0), fx.ReadoutDarkCharge(charge_e=8.0, reference_C=25.0, doubling_K=7.0)]
+)
+def test_charge_of_a_sensor_that_warms_up_is_less_in_the_first_frame(effect):
+    """7 K more behind it double what leaks: the first of four frames holds half of what the others do."""
+    geometry = FrameGeometry.of_image(8, 5)
+    first, later, mean = (_capture(settings=FrameSettings(1.0, temperature_c=c)) for c in (25.0, 32.0, 30.25))
+    series = replace(mean, frames=4.0, first_frame=first, later_frames=later)
+    after = effect.moments(TileMoments.exactly(np.full(geometry.shape, 100.0)), series)
+    expected = np.asarray(effect.offset(first)) - np.asarray(effect.offset(later))
+    assert float(np.mean(after.first_excess)) == pytest.approx(float(np.mean(expected)), rel=1e-6)
+    assert np.mean(expected) == pytest.approx(-np.mean(np.asarray(effect.offset(first))))
 
 
 # Rounding and missing codes.
