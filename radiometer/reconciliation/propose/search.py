@@ -250,7 +250,8 @@ def _in_words(term: Any, shape: tuple[int, int]) -> str:
 
 
 _CAPTURES: Final = 3
-_SHOWS_CHI2: Final = 9.0
+# A capture is worth taking where its χ² separates the law from none as rivals are separated.
+_WORTH: Final = 2.0 * RIVAL_NATS
 
 
 def _refuting_frames(proposal: Proposal) -> tuple[list[dict[str, Any]], list[str]]:
@@ -264,7 +265,7 @@ def _refuting_frames(proposal: Proposal) -> tuple[list[dict[str, Any]], list[str
     does = "scatters by" if is_noise else "differs by"
     frames, reasons = list[dict[str, Any]](), list[str]()
     for index in np.argsort(-worth)[:_CAPTURES].tolist():
-        if worth[index] < _SHOWS_CHI2 and frames:
+        if worth[index] < _WORTH and frames:
             break
         tile = int(np.argmax(np.abs(apart[index])))
         frame = pool.frame(index)
