@@ -21,6 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.data.code_step import code_step
 from radiometer.data.frame import DigitalNumbers, Frame, FrameSettings
 from radiometer.data.reading import Patch
 from radiometer.data.white_level import EDGE_SIGMAS, Basis, WhiteLevel
@@ -40,7 +41,6 @@ _CUT_OFF_SPREAD = 0.89  # standard deviation of a normal distribution cut off th
 _FEWEST_PIXELS = 24  # in a pile: fewer can halve their spread by chance
 _RANKS_PER_DOUBLING = 4
 _SINGLE_SHARE = 0.5  # of the strays may have another next to them: in an area nearly all have
-_FEWEST_CODES = 10  # different ones: all even by chance once in a thousand
 _CODES_NEXT_TO = 8  # next to a pile, which show how dense ordinary pixels are
 _PILES_TRIED = 6  # distinct ones in a frame
 _PIXELS_COMPARED = 4096  # of a pile: quartile ranges are then known to 2 per cent
@@ -113,7 +113,10 @@ def find_white_levels(frames: Iterable[Frame], parts: Sequence[Patch] = ()) -> d
     for one in ranked:  # an evenly lit frame does not show its black level; a shorter exposure comes nearer to it
         alike = (other for other in ranked if other.settings.gain_db == one.settings.gain_db)
         one.floor_dn = min(other.floor_dn for other in alike)
-    step = _code_step(ranked)
+    codes = np.flatnonzero(sum(one.counts for one in ranked))
+    step = code_step(codes)
+    # Padded codes end below full scale.
+    highest = ranked[0].full_scale_dn - int(ranked[0].full_scale_dn - codes[-1]) % step
     piles = {gain: _pile_of_gain(ranked, gain, step) for gain in gains}
     shown = [pile for pile in piles.values() if pile is not None]
     lowest = min(shown, key=lambda pile: pile.saturated_dn, default=None)
@@ -121,7 +124,7 @@ def find_white_levels(frames: Iterable[Frame], parts: Sequence[Patch] = ()) -> d
     for gain in gains:
         of_gain = [one for one in ranked if one.settings.gain_db == gain]
         holds = lowest is not None and all(_strays_are_single(one, lowest.top_dn) for one in of_gain)
-        found[gain] = _decided(of_gain, piles[gain], lowest if holds else None)
+        found[gain] = _decided(of_gain, piles[gain], lowest if holds else None, highest)
     return found
 
 
@@ -192,19 +195,18 @@ def _looked_at(settings: Sequence[FrameSettings]) -> list[int]:
     return chosen
 
 
-def _decided(frames: Sequence[_Ranks], pile: _Pile | None, lowest: _Pile | None) -> WhiteLevel:
+def _decided(frames: Sequence[_Ranks], pile: _Pile | None, lowest: _Pile | None, highest_dn: int) -> WhiteLevel:
     """Return the white level of frames of one gain from what they show and what they state."""
-    full_scale = frames[0].full_scale_dn
     known = [one.settings.white_level for one in frames if one.settings.white_level is not None]
     stated = [level for level in known if level.is_stated]
-    stated_dn = min((level.stated_dn for level in stated or known), default=full_scale)
+    stated_dn = min((level.stated_dn for level in stated or known), default=highest_dn)
     reached = max(int(one.value(np.array([min(_FEWEST_PIXELS, one.pixels)]))[0]) for one in frames)
     exposures = len({one.settings.effective_exposure_s for one in frames})
     basis: Basis = "stated" if stated else "assumed"
     used = pile or lowest
     if used is None or used.saturated_dn > stated_dn:
         # Above the level that is stated, nothing promises that numbers are proportional to light.
-        saturated = min(stated_dn, full_scale)
+        saturated = min(stated_dn, highest_dn)
     else:
         saturated, basis = used.saturated_dn, "measured"
     found = WhiteLevel(saturated, basis, stated_dn, bool(stated), reached_dn=reached, exposures=exposures)
@@ -216,12 +218,6 @@ def _decided(frames: Sequence[_Ranks], pile: _Pile | None, lowest: _Pile | None)
         spread_dn=pile.spread_dn,
         piled_pixels=pile.pixels,
     )
-
-
-def _code_step(frames: Sequence[_Ranks]) -> int:
-    """Return the distance between codes in DN: more than 1 where the low bits are padding."""
-    occupied = np.flatnonzero(sum(one.counts for one in frames))
-    return max(int(np.gcd.reduce(occupied)), 1) if occupied.size >= _FEWEST_CODES else 1
 
 
 def _pile_of_gain(frames: Sequence[_Ranks], gain_db: float, step: int) -> _Pile | None:
@@ -298,7 +294,8 @@ def _extent(frame: _Ranks, upper: int, centre: int, lower: int, step: int) -> tu
     spread = _half_spread(frame, centre, bound, side)
     centre = _mean_near(frame, centre, spread, step) if side > 0 else centre
     spread = _half_spread(frame, centre, bound, side)
-    end = _lower_end(frame, max(math.ceil(centre - EDGE_SIGMAS * spread - 0.5 * step), 1), step)
+    end = max(math.ceil(centre - EDGE_SIGMAS * spread - 0.5 * step), 1)
+    end = _lower_end(frame, end + (centre - end) % step, step)  # a code: between padded ones no pixels are
     top = math.floor(centre + EDGE_SIGMAS * max(spread, step / 2.0))
     inner = step * round(spread / step)
     dense = _per_code(frame, centre - inner, centre + inner + 1, step)

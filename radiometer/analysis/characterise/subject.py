@@ -13,7 +13,6 @@ import numpy as np
 
 from radiometer.analysis.characterise.group_statistics import SAME_TEMPERATURE_K, GroupStatistics, statistics_of_group
 from radiometer.analysis.signal.lens import falloff_known, lens_factor_sr, relative_sensitivity
-from radiometer.analysis.signal.rounding import code_step_of
 from radiometer.data import (
     CameraDescription,
     CaptureHeader,
@@ -27,6 +26,7 @@ from radiometer.data import (
     SourceDescription,
 )
 from radiometer.data.capture_set import read_digital_numbers
+from radiometer.data.code_step import code_step_of
 from radiometer.data.frame import DigitalNumbers
 from radiometer.data.mosaic import of_sensor
 from radiometer.data.pile_up import white_levels_of
@@ -37,6 +37,7 @@ from radiometer.importing.emva_listing import EmvaListing, find_descriptor
 from radiometer.importing.found import record_in
 from radiometer.units import photon_energy_j
 
+_FRAMES_OF_CODES: Final = 5  # evenly over the settings
 _PIXELS_OF_CODES: Final = 1 << 16  # of a frame: they show which codes occur
 _MEASURED_REL: Final = 1e-4  # by which measured exposures of one setting differ; steps of a ladder do by per cents
 
@@ -366,11 +367,12 @@ def _of_descriptor(path: Path, region: Patch | None) -> Subject:
 def _with_code_step(
     camera: CameraDescription, groups: Sequence[FrameGroup]
 ) -> tuple[CameraDescription, tuple[str, ...]]:
-    """Return the camera with the distance between codes that light frames show where it states none, and a note."""
-    light = [one for one in groups if not one.settings.is_dark]
-    if camera.code_step_dn is not None or not light:
+    """Return the camera with the distance between codes that its frames show where it states none, and a note."""
+    shown = [one for one in groups if not one.settings.is_dark] or list(groups)
+    if camera.code_step_dn is not None or not shown:
         return camera, ()
-    first = (next(replace(one, files=one.files[:1]).read(camera.full_scale_dn)) for one in light)
+    places = np.unique(np.linspace(0, len(shown) - 1, _FRAMES_OF_CODES).astype(int))
+    first = (next(replace(shown[k], files=shown[k].files[:1]).read(camera.full_scale_dn)) for k in places)
     step_dn = code_step_of(dn.ravel()[:: max(1, dn.size // _PIXELS_OF_CODES)] for dn in first)
     if step_dn == 1:
         return camera, ()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,9 @@ from radiometer.analysis.signal.model import (
     SignalModel,
     dark_levels,
     signal_model,
+    some_lit_pixels,
     temperature_factor,
+    with_found_code_step,
 )
 from radiometer.analysis.signal.situation import situation_of
 from radiometer.data import (
@@ -149,6 +151,7 @@ def sensor_flux(frames: Sequence[Frame], scale: FluxScale, region: Patch | None 
             f"the region {region.x},{region.y},{region.width},{region.height} is not on the frame of "
             f"{lit[0].shape[1]} × {lit[0].shape[0]} pixels"
         )
+    scale = replace(scale, model=with_found_code_step(scale.model, (some_lit_pixels(one).dn for one in lit)))
     whole = _merged(lit, dark, scale)
     off = _open(frames, lit=False)
     background, u_background, origin = _background(whole, _merged(off, dark, scale) if off else None, region)

@@ -242,6 +242,7 @@ class StreamingMerge:
         self._wander_rel = 0.0  # by what frames differ as a whole
         self._terms: list[FrameTerms] = []
         self._dark: list[Frame] = []
+        self._codes = np.empty(0, np.uint16)  # digital numbers that occur in some pixels of all frames so far
         self._shape: tuple[int, int] | None = None
         self._taps: ReadOut | None = None
         self._sums: MergeSums | None = None
@@ -503,9 +504,7 @@ class StreamingMerge:
                 self._dark = [self._taps.levelled(dark) for dark in self._dark]
             frame = self._taps.levelled(frame)
         few = some_lit_pixels(frame, None if self._taps is None else self._taps.lit)
-        if not self._terms:
-            model = with_found_code_step(self._situation.model, (few.dn,))
-            self._situation = replace(self._situation, model=model)
+        self._find_code_step(few)
         darkest = darkest_signal(few, self._situation.model)
         self._darkest = min(self._darkest, darkest if frame.masked_dn is None else 0.0)
         terms = frame_terms(
@@ -529,6 +528,13 @@ class StreamingMerge:
         low, top = sample.limits
         self._lit.append(np.where((sample.dn[some] >= low) & (sample.dn[some] < top), sample.signal_at(some), np.nan))
         return sample
+
+    def _find_code_step(self, few: Frame) -> None:
+        """Find the distance between codes from the pixels so far: a short exposure alone may hold one or two codes."""
+        seen = [few, *(some_lit_pixels(one) for one in self._dark if not self._terms)]
+        self._codes = np.unique(np.concatenate([self._codes, *(one.dn.ravel() for one in seen)]))
+        model = with_found_code_step(self._situation.model, (self._codes,))
+        self._situation = replace(self._situation, model=model)
 
     def _refuse_foreign_darks(self, frame: Frame, terms: FrameTerms) -> None:
         """Refuse dark frames that are brighter than a light frame."""

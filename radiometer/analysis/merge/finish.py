@@ -414,7 +414,7 @@ def _root_tables(model: SignalModel) -> tuple[Array | None, Array | None, float,
     top = float(model.signal[-1])
     signal = top * np.linspace(0.0, 1.0, _ROOT_TABLE_SIZE) ** 2
     dn = np.interp(signal, model.signal, np.arange(model.signal.size))
-    quantisation = model.at_dn(model.slope, dn) ** 2 * model.noise.code_variance_dn2
+    quantisation = model.at_dn(model.slope, dn) ** 2 * model.code_variance_dn2
     return quantisation, model.at_dn(model.u_rel, dn), top, model.signal[list(model.valid_dn)]
 
 

@@ -182,7 +182,7 @@ def with_excess(terms: FrameTerms, excess: Array, shot: float) -> FrameTerms:
 
 def _dark_variance(model: SignalModel, settings: FrameSettings, gain: float) -> float:
     dark_e = model.noise.dark_e(settings.exposure_s, settings.temperature_c)
-    quantisation = model.noise.code_variance_dn2 / gain**2 if model.linear else 0.0
+    quantisation = model.code_variance_dn2 / gain**2 if model.linear else 0.0
     return (model.noise.read_noise_e**2 + dark_e) / model.electrons_per_unit**2 + quantisation
 
 

@@ -124,7 +124,8 @@ def patch_situation(
     levelled, taps = levelled_frames(frames, setup)
     lit, defects = None if taps is None else taps.lit, calibration.defects if calibration else ()
     light, dark_frames, shape = crop_frames(levelled, patch, settled.model, lit, defects)
-    settled = replace(settled, model=with_found_code_step(settled.model, (one.dn for one in light)))
+    codes = [*(one.dn if one.codes is None else one.codes for one in light), *(one.dn for one in dark_frames)]
+    settled = replace(settled, model=with_found_code_step(settled.model, codes))
     tap = None if taps is None else taps.tap_of(patch)
     if calibration is not None and settled.model.linear:
         light = [_straightened(one, calibration.found, settled.model) for one in light]

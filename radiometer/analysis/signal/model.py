@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
-from radiometer.analysis.signal.rounding import code_step_of, rounding_u_of_light, rounding_u_of_mean
+from radiometer.analysis.signal.rounding import SHEPPARD, rounding_u_of_light, rounding_u_of_mean
 from radiometer.data import (
     BlackLevel,
     Bracket,
@@ -23,6 +23,7 @@ from radiometer.data import (
     ResponseCurve,
     SensorNoise,
 )
+from radiometer.data.code_step import code_step_of
 from radiometer.data.frame import DigitalNumbers
 from radiometer.data.sensor_noise import U_UNKNOWN_WARMTH_REL, most_dark_e_per_s, u_warmth_rel, warmer
 from radiometer.errors import CalibrationError, MeasurementError
@@ -79,6 +80,14 @@ class SignalModel:
     def full_scale_dn(self) -> int:
         """Return the highest digital number."""
         return int(self.signal.size - 1)
+
+    @property
+    def code_variance_dn2(self) -> float:
+        """Return the variance in DN² of rounding and of what else arises behind the response curve.
+
+        What was measured with a curve holds the rounding of padded codes already.
+        """
+        return max((self.camera.code_step_dn or 1) ** 2 * SHEPPARD, self.noise.code_variance_dn2)
 
     def saturation_dn(self, settings: FrameSettings, *, within_data: bool = True) -> float:
         """Return the digital number from which a frame clips: its white level, or the full well's end if lower.
@@ -137,7 +146,7 @@ class SignalModel:
         dark_e = self.noise.dark_e(settings.exposure_s, settings.temperature_c)
         electrons = light * self.electrons_per_unit + self.noise.read_noise_e**2 + dark_e
         slope = self.at_dn(self.slope, self.dn_of(light, settings)) / gain_factor(settings.gain_db)
-        return np.asarray(electrons / self.electrons_per_unit**2 + slope**2 * self.noise.code_variance_dn2)
+        return np.asarray(electrons / self.electrons_per_unit**2 + slope**2 * self.code_variance_dn2)
 
     def modelled_dark(self, settings: FrameSettings) -> float:
         """Return the signal x that the modelled dark current makes in a frame."""
@@ -449,10 +458,10 @@ def _u_of_rounding(settings: FrameSettings, frames: Sequence[Frame], model: Sign
 
 
 def with_found_code_step(model: SignalModel, light: Iterable[DigitalNumbers]) -> SignalModel:
-    """Return a model with the distance between the numbers that light frames hold, where nothing states it.
+    """Return a model with the distance between the numbers that frames hold, where nothing states it.
 
     Args:
-        light: Digital numbers of pixels of light frames, any shape.
+        light: Digital numbers of pixels of frames, light ones among them; any shape.
     """
     if model.camera.code_step_dn is not None:
         return model
@@ -811,6 +820,7 @@ class PatchFrame:
     darkest: float = math.inf  # signal x of the darkest pixels of the whole picture, dark level not yet taken off
     u_black: float = 0.0  # standard uncertainty of the patch's signal x by the black level of its tap in this frame
     dark_variance: float = 0.0  # of a pixel's dark signal that was evened; frames of one exposure share it
+    codes: DigitalNumbers | None = None  # digital numbers that occur in the patch and over the whole picture
 
 
 def crop_frames(
@@ -931,6 +941,7 @@ def _crop(part: Frame, few_of_all: Frame, model: SignalModel, sound: NDArray[np.
         settings, dn, signal_of(part, model), max(most, clear_dn) < limit, max(most, clear_dn) < end, in_data,
         dn >= limit, sound, whole, whole_clipped, part.masked_dn, darkest_signal(few_of_all, model),
         slope * part.black_u_dn / math.sqrt(part.dn.shape[0]),
+        codes=np.union1d(dn, few_of_all.dn),
     )  # fmt: skip
 
 

@@ -8,7 +8,6 @@ between two codes the pixels are. This module inverts that dependence and states
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from functools import cache
 from typing import Final
 
@@ -17,7 +16,6 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from radiometer.data import Quantity
-from radiometer.data.frame import DigitalNumbers
 
 SHEPPARD: Final = 1.0 / 12.0  # squared code steps
 PLAIN_FROM: Final = 0.24  # variance after rounding; below it, EMVA 1288 (6.7) gives an upper limit only
@@ -29,23 +27,6 @@ _PHASES: Final = np.linspace(-0.5, 0.5, 41)  # places between codes, in steps
 # Pixel distributions are normal to a few per cent only; so is the predicted variance.
 _MODEL_REL: Final = 0.05
 _SEEN_SIGMAS: Final = 2.0
-_CODES_OF_NOISE: Final = 3  # numbers that occur where noise spreads them; two may be the scene's
-
-
-def code_step_of(light: Iterable[DigitalNumbers]) -> int:
-    """Return the distance in DN between the numbers that light frames hold: more than 1 where low bits are padding.
-
-    It is a power of two, and most numbers that occur are neighbours at that distance.
-
-    Args:
-        light: Digital numbers of pixels of light frames, any shape.
-    """
-    found = [np.unique(dn) for dn in light]
-    codes = np.unique(np.concatenate(found)) if found else np.empty(0, np.uint16)
-    apart = np.diff(codes)
-    divisor = int(np.gcd.reduce(apart)) if codes.size >= _CODES_OF_NOISE else 1
-    step_dn = divisor & -divisor
-    return 1 if step_dn == 1 or np.median(apart) > step_dn else step_dn
 
 
 def unrounded_variance(

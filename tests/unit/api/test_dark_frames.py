@@ -153,6 +153,26 @@ def test_padded_codes_are_in_the_uncertainty(tmp_path, stated):
     assert measured(tmp_path / "set")[1] > 16.0 * np.sqrt(1.0 / 12.0) * of_1_dn
 
 
+@pytest.mark.parametrize("function", [measured, merged])
+@pytest.mark.parametrize("width", [16, 8])
+def test_padded_codes_show_over_the_whole_picture_though_a_patch_holds_one_or_two(tmp_path, width, function):
+    """A dim patch reads 1008, or 1008 and 1024 DN, darkness 992 DN: u is that of a stated step of 16 DN."""
+    dn = 992 + 16 * (np.arange(40 * 56).reshape(40, 56) % 5 + 40)
+    dn[PATCH[1] : PATCH[1] + 16, PATCH[0] : PATCH[0] + 16] = 1024
+    dn[PATCH[1] : PATCH[1] + 16, PATCH[0] : PATCH[0] + width] = 1008
+    found = {}
+    for step_dn in (None, 16, 1):
+        camera = CAMERA.model_copy(update={"code_step_dn": step_dn})
+        folder = tmp_path / f"step-{step_dn}"
+        with CaptureSetWriter(folder, camera, LENS, source=SourceDescription(wavelength_nm=WAVELENGTH_NM)) as one:
+            for frame, shutter in ((np.full((40, 56), 992), "closed"), (dn, "open")):
+                settings = FrameSettings(TIMES_S[1], black_level_dn=BLACK_DN, shutter=shutter)
+                one.add(Frame(frame.astype(np.uint16), 12, settings))
+        found[step_dn] = function(folder)[1]
+    assert found[None] == pytest.approx(found[16], rel=1e-6)
+    assert found[1] < found[16]
+
+
 def test_a_response_says_that_it_uses_none(capture):
     """Its lowest value is black; dark frames that lie with the bracket are named as not used."""
     darks, folder = capture

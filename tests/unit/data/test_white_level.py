@@ -137,6 +137,26 @@ def test_a_stated_level_that_the_frames_contradict_is_reported(stated, used, wor
     assert re.search(words, note)
 
 
+@pytest.mark.parametrize("step_dn", [1, 4, 16])
+def test_padded_codes_end_below_full_scale(step_dn):
+    """Of 14 bits with 4 of padding the highest code is 16368: a single exposure that reaches it is saturated there."""
+    rng = np.random.default_rng(43)
+    ((frame, _),) = Sensor(FULL).bracket(40_000 * ramp(rng), (1.0,), rng)
+    padded = replace(frame, dn=(frame.dn // step_dn * step_dn).astype(np.uint16))
+    assert level_of([padded]).saturated_dn == FULL + 1 - step_dn
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4])
+def test_a_pile_on_two_padded_codes_is_saturated_from_the_lower_one(share):
+    """Rounding puts a part of the pile one code of 16 DN lower."""
+    rng = np.random.default_rng(45)
+    taken = [one for one, _ in Sensor(9_600).bracket(40_000 * ramp(rng), (1 / 16, 1 / 4, 1.0), rng)]
+    *shorter, top = (one.dn // 16 * 16 for one in taken)
+    top = np.where((top == 9_600) & (rng.random(top.shape) < share), 9_584, top)
+    padded = [replace(one, dn=dn.astype(np.uint16)) for one, dn in zip(taken, [*shorter, top], strict=True)]
+    assert level_of(padded).saturated_dn == (9_584 if share else 9_600)
+
+
 def test_each_gain_has_its_own_end():
     """One frame assumes the bit depth; a well of 9000 DN at 0 dB, the converter's end at 12 dB."""
     rng = np.random.default_rng(47)

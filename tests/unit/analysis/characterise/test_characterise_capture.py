@@ -237,6 +237,22 @@ def test_padded_codes_count_as_such_though_nothing_states_them(capture, tmp_path
     assert found.figures["K"].value == pytest.approx(step_dn * before["K"].value, rel=0.01)
 
 
+def test_dark_frames_alone_show_padded_codes(tmp_path):
+    """3 e⁻ at 3.2 DN/e⁻ on codes 16 DN apart: 1/12 DN² for rounding made them 3.3 e⁻."""
+    rng = np.random.default_rng(11)
+    known = CameraDescription(bit_depth=16, conversion_gain_e_per_dn=1 / 3.2)
+    with CaptureSetWriter(tmp_path / "darks", known, LensDescription()) as writer:
+        for exposure_s in (0.01, 0.1, 0.3, 0.6, 1.0):
+            for _ in range(4):
+                electrons = rng.poisson(500.0 * exposure_s, (60, 80)) + rng.normal(0.0, 3.0, (60, 80))
+                dn = 16 * np.rint(64 + 0.2 * electrons).astype(np.uint16)
+                writer.add(Frame(dn, 16, FrameSettings(exposure_s, shutter="closed")))
+    found = characterise(subject_of_capture(CaptureSet.read(tmp_path / "darks")))
+    sigma_d = found.figures["sigma_d"]
+    assert abs(sigma_d.value - 3.0) <= 2.0 * sigma_d.u
+    assert sigma_d.u < 0.1
+
+
 def test_what_cannot_be_characterised_is_refused(capture):
     """One file twice in each pair, a region outside the frame, an export without photons."""
     header = read_yaml(capture.path / "capture.yaml")

@@ -197,8 +197,8 @@ def behind_a_curve(u=1e-6, valid=(2, 254), read_e=0.01):
 
 
 @pytest.mark.parametrize("gain_db", [0.0, 12.0])
-def test_rounding_behind_a_curve_is_the_scatter_that_u_states(gain_db):
-    """Over 10 000 pixels between two and three thousandths of each other the errors are as large as u says."""
+def test_noise_of_frames_is_that_of_reading_darkness_and_rounding(gain_db):
+    """Behind a curve its scatter is what u states."""
     camera, calibration = behind_a_curve()
     gain = 10.0 ** (gain_db / 20.0)
     truth = np.linspace(20.0, 60.0, 10_000).reshape(100, 100) / gain
@@ -207,6 +207,15 @@ def test_rounding_behind_a_curve_is_the_scatter_that_u_states(gain_db):
     unit = np.median(found.radiance / truth)
     pull = (found.radiance / unit - truth) / (found.u_radiance / unit)
     assert np.sqrt(np.mean(pull**2)) == pytest.approx(1.0, abs=0.05)
+    noise = replace(NOISE, dark_current_e_per_s=30.0)
+    situation = situation_of(Setup(CAMERA, LENS, replace(CALIBRATION, noise=noise)))
+    terms = frame_terms(FrameSettings(2.0, gain_db=gain_db), situation, (), through_lens=False)
+    assert terms.gain == pytest.approx(gain)
+    assert terms.variance == pytest.approx((25.0 + 60.0) / 2.5**2 + 1.0 / 12.0 / gain**2)
+    assert terms.exposure == 2.0
+    assert terms.dark.tolist() == pytest.approx([24.0])  # 60 electrons, which light no longer has room for
+    if not gain_db:
+        assert terms.clips_at == pytest.approx(FULL_SCALE - 0.5 - BLACK - 24.0)
 
 
 def test_white_and_black_behind_a_curve_are_distinguished_and_marked():
@@ -546,21 +555,6 @@ def test_u_falls_by_the_root_of_the_frames(seed, count):
     assert any("no exposure counts twice" in line for line in copies.provenance.assumptions) == (count > 1)
 
 
-@pytest.mark.parametrize("gain_db", [0.0, 12.0])
-def test_the_variance_of_a_frame_is_read_noise_dark_noise_and_rounding(gain_db):
-    """c of x in DN at 0 dB: (σ_d² + dark)/K'² + 1/(12·G²); each term is there once, with its sign."""
-    noise = replace(NOISE, dark_current_e_per_s=30.0)
-    situation = situation_of(Setup(CAMERA, LENS, replace(CALIBRATION, noise=noise)))
-    terms = frame_terms(FrameSettings(2.0, gain_db=gain_db), situation, (), through_lens=False)
-    gain = 10.0 ** (gain_db / 20.0)
-    assert terms.gain == pytest.approx(gain)
-    assert terms.variance == pytest.approx((25.0 + 60.0) / 2.5**2 + 1.0 / 12.0 / gain**2)
-    assert terms.exposure == 2.0
-    assert terms.dark.tolist() == pytest.approx([24.0])  # 60 electrons, which light no longer has room for
-    if not gain_db:
-        assert terms.clips_at == pytest.approx(FULL_SCALE - 0.5 - BLACK - 24.0)
-
-
 def test_a_frame_clips_at_full_scale_and_starts_above_black():
     """The last number used is full scale less one; the first is 0 where black stands clear of the noise, else 1."""
     situation = situation_of(Setup(CAMERA, LENS, CALIBRATION))
@@ -881,13 +875,22 @@ def test_the_estimate_is_the_likeliest_and_its_variance_the_curvature(rate, vari
     assert not contradiction
 
 
-def test_shot_noise_makes_a_clipped_frame_say_less():
-    """Noise that grows with the light, κ·x·t next to the rest: the same as that noise stated beforehand."""
+def test_clipped_and_noiseless_frames_are_heard_in_numbers():
+    """Shot noise as if stated beforehand; none in the dark, or behind a curve."""
     plain = FRAMES[1:2].copy()
     found = with_censored(104.0, 4.0, np.uint64(0), FRAMES, 1, 2, 0.8)
     plain[0, 5] += 0.8 * 2.0 * found[0]
     assert found[:2] == pytest.approx(with_censored(104.0, 4.0, np.uint64(0), plain, 0, 1, 0.0)[:2], rel=2e-3)
     assert found[0] < with_censored(104.0, 4.0, np.uint64(0), FRAMES, 1, 2, 0.0)[0]
+    frames = np.array([frame_row(1.0, 0.0, 40.0), frame_row(4.0, 0.0, 40.0)])
+    for rate in (-0.3, 0.0):
+        found = with_censored(rate, 0.2, np.uint64(0b01), frames, 0, 2, 0.3)
+        assert found == (rate, pytest.approx(0.2, rel=1e-12), False)
+    frames = np.array([frame_row(1.0, 0.0, 4.6), frame_row(1e4, 0.0, 4.6, at_clipping=1.7e-4)])
+    value, variance, contradiction = with_censored(-2e-3, 1e-6, np.uint64(0b01), frames, 0, 2, 4e-7)
+    assert -2e-3 < value < 4.6e-4 + 2e-3
+    assert 0.0 < variance < 1e-6
+    assert not contradiction
 
 
 @pytest.mark.parametrize(("clips_at", "heard"), [(120.0, False), (208.0, True)])
@@ -906,19 +909,6 @@ def test_a_frame_that_clips_far_below_its_level_contradicts(rate, contradicts):
     found, _, text = with_censored(rate, 1.0, np.uint64(0), FRAMES, 1, 2, 0.0)
     assert text is contradicts
     assert (found == rate) is (rate < 50.0)
-
-
-def test_values_without_noise_are_numbers():
-    """No read noise and no light: a frame far above contradicts or says nothing, also behind a curve."""
-    frames = np.array([frame_row(1.0, 0.0, 40.0), frame_row(4.0, 0.0, 40.0)])
-    for rate in (-0.3, 0.0):
-        found = with_censored(rate, 0.2, np.uint64(0b01), frames, 0, 2, 0.3)
-        assert found == (rate, pytest.approx(0.2, rel=1e-12), False)
-    frames = np.array([frame_row(1.0, 0.0, 4.6), frame_row(1e4, 0.0, 4.6, at_clipping=1.7e-4)])
-    value, variance, contradiction = with_censored(-2e-3, 1e-6, np.uint64(0b01), frames, 0, 2, 4e-7)
-    assert -2e-3 < value < 4.6e-4 + 2e-3
-    assert 0.0 < variance < 1e-6
-    assert not contradiction
 
 
 # Photographs from the hand: how they lie to each other, and what becomes of their values.

@@ -181,6 +181,16 @@ def test_what_rounding_hides_in_dark_frames_is_shared(step):
     assert level.u_common == pytest.approx(step * math.sqrt(1.0 / 12.0), rel=0.01)
 
 
+def test_noise_of_a_pixel_holds_the_rounding_of_padded_codes_once():
+    """Steps of 16 DN have a variance of 256/12 DN²; noise that was measured behind a curve holds it already."""
+    padded = LINEAR.camera.model_copy(update={"code_step_dn": 16})
+    plain = float(LINEAR.variance(100.0, LIGHT))
+    assert float(replace(LINEAR, camera=padded).variance(100.0, LIGHT)) == pytest.approx(plain + 255.0 / 12.0)
+    measured = replace(LINEAR, noise=replace(LINEAR.noise, post_curve_dn2=50.0))
+    expected = pytest.approx(float(measured.variance(100.0, LIGHT)))
+    assert float(replace(measured, camera=padded).variance(100.0, LIGHT)) == expected
+
+
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.3, 0.45, 0.5])
 def test_what_two_codes_leave_open_is_how_far_their_mean_is_from_midway(share):
     """At most share − ½, by noise less: over √3; light whose noise spreads over the codes adds nothing."""
