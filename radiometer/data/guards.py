@@ -28,7 +28,6 @@ DEEPEST_NESTING: Final = 64  # files of this program nest some ten levels
 MOST_SCANS: Final = 100
 MOST_ENTRIES: Final = 5_000_000  # after all repetitions are written out
 _Loader: Final = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-_SUBFILE: Final = 254  # NewSubfileType; bit 0: a smaller copy of another picture (TIFF 6.0, section 8)
 _PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 _PNG_CHANNELS: Final = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # PNG specification, 11.2.2: channels of each colour type
 _HDR_RESOLUTION: Final = re.compile(rb"[-+][XY] +(\d{1,12}) +[-+][XY] +(\d{1,12})\s")
@@ -141,8 +140,8 @@ def _tiff_sizes(content: bytes) -> list[tuple[int, int, int, int]]:
     return [(found[256], found[257], found[277], found[258])]
 
 
-def refuse_endless_tiff(path: Path, content: bytes) -> int:
-    """Return the number of pictures of a TIFF, previews left out; refuse one whose directories never end.
+def refuse_endless_tiff(path: Path, content: bytes) -> None:
+    """Refuse a TIFF whose directories never end.
 
     A classic TIFF and a BigTIFF are walked (TIFF 6.0, section 2; BigTIFF design of the Aware Systems). A directory
     beyond the file ends the walk: its reader names it. One that points back to one before would be read for ever.
@@ -157,7 +156,7 @@ def refuse_endless_tiff(path: Path, content: bytes) -> int:
     order = "<" if content[:2] == b"II" else ">"
     big = content[2:4] in (b"+\x00", b"\x00+")
     counted, width, pointer = ("Q", 20, "Q") if big else ("H", 12, "I")
-    seen, previews = set[int](), 0
+    seen = set[int]()
     try:
         (at,) = struct.unpack_from(f"{order}{pointer}", content, 8 if big else 4)
         while at:
@@ -167,11 +166,8 @@ def refuse_endless_tiff(path: Path, content: bytes) -> int:
             (entries,) = struct.unpack_from(f"{order}{counted}", content, at)
             first = at + struct.calcsize(f"{order}{counted}")
             (at,) = struct.unpack_from(f"{order}{pointer}", content, first + width * entries)
-            if entries and struct.unpack_from(f"{order}H", content, first) == (_SUBFILE,):  # tags ascend: it is first
-                previews += struct.unpack_from(f"{order}I", content, first + (12 if big else 8))[0] & 1
     except struct.error:
         pass
-    return len(seen) - previews
 
 
 def refuse_deep_yaml(text: str, where: str) -> None:

@@ -95,8 +95,9 @@ class Comparison:
             if differs.any():
                 shape = self.usable[name].shape
                 own = differs if differs.ndim > len(shape) or not models else np.broadcast_to(differs, models + shape)
-                columns = self._weighed(name, np.moveaxis(own, 0, -1) if models else own)
-                found[cut].reshape(*shape, *models)[...] = columns
+                moved = np.moveaxis(own, 0, -1) if models else own
+                is_lone = STATISTICS[name].scale is Scale.SCORE and name not in self.whiteners  # of unit variance
+                found[cut].reshape(*shape, *models)[...] = moved if is_lone else self.whiten(name, moved)
         return found
 
     def whiten(self, block: str, values: Array) -> Array:
@@ -150,11 +151,6 @@ class Comparison:
     @cached_property
     def _calm_bands(self) -> Array:
         return self.band_scores(np.zeros_like(self.seen.bands_of_rows), np.zeros(len(self.design.captures)))
-
-    def _weighed(self, name: str, values: Array) -> Array:
-        """Return what a statistic differs by in whitened units; lone scores have unit variance as they are."""
-        is_lone = STATISTICS[name].scale is Scale.SCORE and name not in self.whiteners
-        return values if is_lone else self.whiten(name, values)
 
     def _compared(self, name: str) -> Array:
         """Return what was measured, on the scale on which it is compared; of scores 0, for they hold it already."""

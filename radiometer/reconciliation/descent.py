@@ -342,9 +342,14 @@ def _variants(trials: Sequence[_Trial]) -> list[_Trial]:
     """Return the best trial of each variant, a dozen at most: what is not fitted is tried in all of them."""
     found: dict[tuple[object, ...], _Trial] = {}
     for trial in sorted(trials, key=lambda trial: trial.cost):
-        free = {name.split("[")[0] for name in trial.effect.free()}
-        found.setdefault(tuple(v for k, v in trial.effect.values().items() if k not in free), trial)
+        found.setdefault(variant_of(trial.effect), trial)
     return list(found.values())[:_VARIANTS]
+
+
+def variant_of(effect: CatalogueEffect) -> tuple[object, ...]:
+    """Return what is not fitted of an effect."""
+    free = {name.split("[")[0] for name in effect.free()}
+    return tuple(value for name, value in effect.values().items() if name not in free)
 
 
 def _fitted_from(state: FitState, start: _Trial) -> _Trial:
@@ -416,7 +421,9 @@ def _profiled(state: FitState, best: _Trial) -> _Trial:
 
 
 def _judged(state: FitState, best: _Trial, candidate: Candidate) -> FittedCandidate:
-    columns = _off_bounds(state, best.effect, state.fit.followed(best.moves(state)))
+    own = state.parameters_of((best.effect,))
+    inside = (own.values - own.low > 1e-6 * own.scale) & (own.high - own.values > 1e-6 * own.scale)
+    columns = state.fit.followed(best.moves(state))[:, inside]
     fit = state.fit.extended(columns, best.residual)
     before = _family_chi2(state, state.fit.projected)
     after = _family_chi2(state, fit.projected)
@@ -438,13 +445,6 @@ def _overrated(state: FitState, effect: CatalogueEffect, promised: Mapping[str, 
     exact = {"common": state.comparison.common_deviance, "bands": state.comparison.band_deviance}
     gains = {n: exact[n](state.prediction) - exact[n](predicted) for n, gain in promised.items() if gain > 0}
     return sum(max(promised[name] - gain, 0.0) for name, gain in gains.items()) / 2.0
-
-
-def _off_bounds(state: FitState, effect: CatalogueEffect, columns: Array) -> Array:
-    own = state.parameters_of((effect,))
-    span = 1e-6 * own.scale
-    free = (own.values - own.low > span) & (own.high - own.values > span)
-    return columns[:, free]
 
 
 def _family_chi2(state: FitState, residual: Array) -> dict[str, float]:

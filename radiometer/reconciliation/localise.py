@@ -342,15 +342,11 @@ def places(state: FitState, most: int) -> tuple[Disagreement, ...]:
             break
         test, basis = min(rated, key=lambda entry: entry[0].order)
         found.append(test)
-        fit = _fitted_with(state, fit, basis)
+        lengths = np.linalg.norm(basis.columns, axis=0)
+        columns = np.zeros((state.comparison.size, int(np.sum(lengths > 0))))
+        columns[state.comparison.cuts[basis.block]] = basis.columns[:, lengths > 0] / lengths[lengths > 0]
+        fit = fit.extended(fit.followed(state.pad(columns)))
     return tuple(found)
-
-
-def _fitted_with(state: FitState, fit: LinearFit, basis: Basis) -> LinearFit:
-    lengths = np.linalg.norm(basis.columns, axis=0)
-    columns = np.zeros((state.comparison.size, int(np.sum(lengths > 0))))
-    columns[state.comparison.cuts[basis.block]] = basis.columns[:, lengths > 0] / lengths[lengths > 0]
-    return fit.extended(fit.followed(state.pad(columns)))
 
 
 def own_place(effect: CatalogueEffect) -> tuple[str, str]:

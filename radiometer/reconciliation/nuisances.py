@@ -110,12 +110,6 @@ class NuisanceLayout:
         """Return the layout in which stated radiances are hardly free."""
         return replace(self, prior=np.where(self.stated, _HELD * self.prior, self.prior))
 
-    def _summed(self, own: Array) -> Array:
-        found = np.zeros((own.shape[0], self._common.stop - self._common.start))
-        for number, errors in enumerate(self.shared):  # one pattern has each error once
-            found[:, errors] += own[:, number * errors.size : (number + 1) * errors.size]
-        return found
-
     def unpack(self, design: Design, values: Array) -> Nuisance:
         """Return the nuisances of a parameter vector."""
         start = Nuisance.start(design)
@@ -165,8 +159,11 @@ class NuisanceLayout:
     def _share(self, matrix: Array, values: Array) -> None:
         """Turn columns of the light of each patch into those of the patch's error, and write those of shared errors."""
         if self.patterns:
-            matrix[:, self._radiances] *= self._light(values)[1].ravel()
-            matrix[:, self._common] = self._summed(matrix[:, self._radiances])
+            own, common = matrix[:, self._radiances], matrix[:, self._common]
+            own *= self._light(values)[1].ravel()
+            common[:] = 0.0
+            for number, errors in enumerate(self.shared):  # one pattern has each error once
+                common[:, errors] += own[:, number * errors.size : (number + 1) * errors.size]
 
     def _followers(self, comparison: Comparison, light: Change, values: Array) -> RowBlock:
         rows = np.flatnonzero(_moved_rows(comparison, [(light, _FOLLOWING)]))

@@ -312,7 +312,8 @@ class CaptureSums:
         outlying, restless = np.zeros((2, *self.defects.shape), dtype=np.bool_)
         unsteady = 0.0
         means = np.array(self.frame_means)
-        spacing_dn = _code_spacing(self.occurring)
+        codes = np.flatnonzero(self.occurring)
+        spacing_dn = float(np.gcd.reduce(np.diff(codes))) if codes.size > 1 else 1.0
         residuals, counting = [], []
         for number, group in enumerate(self.groups):
             residual, good, switching = self._finish_group(
@@ -479,11 +480,6 @@ _PER_TILE: Final = (
     "low",
     "high",
 )
-
-
-def _code_spacing(occurring: Mask) -> float:
-    codes = np.flatnonzero(occurring)
-    return float(np.gcd.reduce(np.diff(codes))) if codes.size > 1 else 1.0
 
 
 def _outlying(picture: Array, group: TileGroup, spacing_dn: float) -> Mask:

@@ -555,7 +555,10 @@ class FineStructure:
     def correlation(self, other: FineStructure) -> float | None:
         """Return the correlation of two frames' fine structure; None where either has too little structure."""
         known = np.isfinite(self.log_light) & np.isfinite(other.log_light)
-        terms = _smooth_terms(known)
+        row, column = np.nonzero(known)
+        y, x = (2.0 * at / max(size - 1, 1) - 1.0 for at, size in zip((row, column), known.shape, strict=True))
+        surface = np.column_stack([x * y, x * x * y, x * y * y, x * x * y * y])
+        terms = np.hstack([np.eye(known.shape[0])[row], np.eye(known.shape[1])[column], surface])  # smooth ones
         if known.sum() - terms.shape[1] < _FEWEST_BLOCKS:
             return None
         both = np.column_stack([self.log_light[known], other.log_light[known]])
@@ -590,10 +593,3 @@ def scenes_of(structures: Mapping[int, FineStructure]) -> dict[int, int]:
         latest[scene].append(own)
         found[frame] = scene
     return found
-
-
-def _smooth_terms(known: NDArray[np.bool_]) -> Array:
-    row, column = np.nonzero(known)
-    y, x = (2.0 * at / max(size - 1, 1) - 1.0 for at, size in zip((row, column), known.shape, strict=True))
-    surface = np.column_stack([x * y, x * x * y, x * y * y, x * x * y * y])
-    return np.hstack([np.eye(known.shape[0])[row], np.eye(known.shape[1])[column], surface])

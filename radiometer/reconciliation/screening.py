@@ -11,7 +11,7 @@ from typing import Any, Final, TypeVar, cast
 import numpy as np
 
 from radiometer.errors import ConfigurationError
-from radiometer.reconciliation.descent import Candidate
+from radiometer.reconciliation.descent import Candidate, variant_of
 from radiometer.reconciliation.design import COMB_PERIODS, CaptureStatistics
 from radiometer.reconciliation.lines import RowBins, wave_power
 from radiometer.reconciliation.shared_errors import mixing_of_bands, relative_bands
@@ -80,7 +80,7 @@ class StartPool:
         rated = [state.comparison.deviances_of_flicker(here + size * moves, rows).sum(axis=1) for size in sizes]
         best, least = np.argmin(rated, axis=0), np.min(rated, axis=0)
         order = [int(i) for i in np.argsort(least)]
-        first = {_variant(dense[i]): i for i in reversed(order)}
+        first = {variant_of(dense[i]): i for i in reversed(order)}
         chosen = list(dict.fromkeys([*sorted(first.values(), key=lambda i: least[i]), *order]))[:_KEPT]
         return tuple(dense[i].resized(float(np.sqrt(sizes[best[i]]))) for i in chosen)
 
@@ -89,11 +89,6 @@ def _at_best(rise: Array, curvature: Array, free: Array, least: Array | float = 
     """Return the amplitudes of changes and the χ² that they explain; what is not free acts as it is or not at all."""
     amplitude = np.where(free, np.clip(rise / np.maximum(curvature, least), 0.0, _LARGEST_AMPLITUDE), 1.0)
     return amplitude, amplitude * (2.0 * rise - amplitude * curvature)
-
-
-def _variant(start: CatalogueEffect) -> tuple[object, ...]:
-    free = start.free()
-    return tuple(value for name, value in start.values().items() if name not in free)
 
 
 def _of_all_captures(state: FitState, unit: Array) -> tuple[Array, Array]:

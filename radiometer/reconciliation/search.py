@@ -38,7 +38,6 @@ from radiometer.reconciliation.result import ReconcileResult
 from radiometer.reconciliation.screening import StartPool, directions_of, screen
 from radiometer.reconciliation.state import FitState, reweighted, with_effects, with_terms
 from radiometer.reconciliation.thresholds import (
-    ESSENTIAL_SIGMAS,
     NAMED_NATS,
     PARAMETER_NATS,
     RIVAL_NATS,
@@ -129,7 +128,7 @@ class Contender:
         needed = NAMED_NATS - self.fitted.effect.log_prior_odds + float(np.log(self.fitted.start.tries))
         needed += RIVAL_NATS if self.fitted.start.flexible else 0.0
         enough = max(needed, NAMED_NATS * scatter_of(self.state))
-        return self.nats >= enough and self.fitted.evidence >= ESSENTIAL_SIGMAS**2
+        return self.nats >= enough and self.fitted.evidence >= 2.0 * RIVAL_NATS
 
 
 def contenders_of(state: FitState, candidates: Sequence[FittedCandidate]) -> list[Contender]:

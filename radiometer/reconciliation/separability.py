@@ -674,15 +674,12 @@ def inseparable(
     (target,) = directions.forms[chosen.name]
     alike = ConfusablePair(directions, target)
     found = [pair for name in kinds if (pair := alike.fitted(name)) is not None]
-    for effect, left in found:
-        state.models.append(_exchanged(state, chosen, effect, left))
+    for other, left in found:  # its model, with the other in the place of the chosen
+        effects = tuple(other if effect is chosen else effect for effect in state.effects)
+        density = state.log_density - left / 2.0 / state.log_density.size
+        size = state.parameters_of(effects).size + state.curves
+        state.models.append(ModelFit(effects, state.curves, density, size))
     return tuple(effect for effect, _ in found)
-
-
-def _exchanged(state: FitState, chosen: CatalogueEffect, other: CatalogueEffect, left: float) -> ModelFit:
-    effects = tuple(other if effect is chosen else effect for effect in state.effects)
-    density = state.log_density - left / 2.0 / state.log_density.size
-    return ModelFit(effects, state.curves, density, state.parameters_of(effects).size + state.curves)
 
 
 @dataclass(frozen=True, eq=False)

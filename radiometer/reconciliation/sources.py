@@ -21,10 +21,12 @@ from radiometer.importing.light_tables import is_drive_table
 from radiometer.reconciliation.descent import effect_covariance, fitted_parameters
 from radiometer.reconciliation.engine import Say, examine, limit_at, whole_catalogue
 from radiometer.reconciliation.photographs import PhotographsReconciled, reconcile_photographs
-from radiometer.reconciliation.propose import Proposal
+from radiometer.reconciliation.propose import Proposal, propose_law, write_files
 from radiometer.reconciliation.reduce import Progress
+from radiometer.reconciliation.report_page import report_html
 from radiometer.reconciliation.result import FoundEffect, ReconcileResult, Verdict
 from radiometer.reconciliation.search import Reconciled
+from radiometer.reconciliation.separability import write_plan
 from radiometer.reconciliation.state import FitState
 from radiometer.reconciliation.tables import DriveFit, MeterReconciled, reconcile_drive_table, reconcile_meter_table
 from radiometer.reporting.origin import Origin
@@ -58,8 +60,6 @@ class DoneCapture:
         Raises:
             OutputError: If a file cannot be written.
         """
-        from radiometer.reconciliation.propose import propose_law, write_files
-
         effects = self.result.effects
         if not any(effect.name == "unnamed" or effect.other_law is not None for effect in effects):
             return None
@@ -76,8 +76,6 @@ class DoneCapture:
 
     def write_report(self, path: Path) -> str:
         """Write the HTML report."""
-        from radiometer.reconciliation.report_page import report_html
-
         write_text_atomic(path, report_html(self._reconciled, self._source.name, self._origin()))
         return str(path)
 
@@ -87,8 +85,6 @@ class DoneCapture:
 
     def write_plan(self, path: Path) -> bool:
         """Write the captures of this set and the next one as a plan, and return whether there is a next one."""
-        from radiometer.reconciliation.separability import write_plan
-
         return write_plan(path, self._reconciled.result, self._reconciled.outcome.state.design)
 
 

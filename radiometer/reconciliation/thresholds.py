@@ -35,12 +35,6 @@ def _row(name: str, value: float, unit: str, reason: str, measured: str = _TOGET
 
 
 _NULL: Final = "sets without an effect (docs/benchmarks/reconcile.md): share of false alarms and largest gap"
-_ODDS: Final = "a statement about odds, not a measurement"
-
-
-def _acted(sessions: int) -> str:
-    return f"acted in {sessions} of 79 sessions (docs/benchmarks/reconcile.md, rules that decide a name)"
-
 
 SIGNIFICANCE: Final = _row(
     "SIGNIFICANCE",
@@ -49,15 +43,9 @@ SIGNIFICANCE: Final = _row(
     "a false alarm among all tests of one pass, and among the few in a name's own place",
     _NULL,
 )
-FRAME_SIGNIFICANCE: Final = _row(
-    "FRAME_SIGNIFICANCE",
-    0.001,
-    "chance",
-    "a period among frames that scatter at random, one of equal frames reported as an outlier by chance",
-    "40 lamps that wander by 2 % (tests/unit/reconciliation/test_frame_order.py), series drawn at random "
-    "(tests/unit/reconciliation/test_reconcile_places.py): none; at 0.005 the plan that settles a first answer found "
-    "a further name (tests/system/test_reconcile_chain.py)",
-)
+# Of each of the three questions that single frames answer (Bonferroni): does light come back in their order, and does
+# one of the dark frames, or one of the lit ones, differ from its equals?
+FRAME_SIGNIFICANCE: Final = SIGNIFICANCE / 3.0
 SCATTER_SIGMAS: Final = _row(
     "SCATTER_SIGMAS", 5.0, "sigma", "scatter without any trend, which no test along a covariate sees", _NULL
 )
@@ -78,23 +66,22 @@ NAMED_NATS: Final = _row(
     "nats",
     "a name, another law or another name in its place by chance: odds of 3000, and ln(starts) more, as one of many "
     "starts fits by chance; also what a curve may predict better by",
-    _ODDS,
+    "a statement about odds, not a measurement",
 )
 SMOOTH_SHARE: Final = _row(
-    "SMOOTH_SHARE", 0.8, "1", "a name that explains less than a curve without meaning along the covariate", _acted(16)
+    "SMOOTH_SHARE",
+    0.8,
+    "1",
+    "a name that explains less than a curve without meaning along the covariate",
+    "acted in 16 of 79 sessions (docs/benchmarks/reconcile.md, rules that decide a name)",
 )
 
 # What a name must bring, less what a parameter costs. Rivals are within it; a flexible form that takes a name from a
-# rigid entry of another leads by as much.
+# rigid entry of another leads by as much. So much its own statistic must bring too, else other statistics that it
+# happens to improve name it.
 RIVAL_NATS: Final = NAMED_NATS - PARAMETER_NATS
-
-ESSENTIAL_SIGMAS: Final = _row(
-    "ESSENTIAL_SIGMAS",
-    3.0,
-    "sigma",
-    "an entry that neither its own statistic nor its essential parameter shows, only others that it happens to improve",
-    _acted(20),
-)
+# An essential parameter so many standard uncertainties from nothing brings as much: 3.2.
+ESSENTIAL_SIGMAS: Final = math.sqrt(2.0 * RIVAL_NATS)
 
 TABLE: Final[tuple[Threshold, ...]] = tuple(_ROWS.values())
 

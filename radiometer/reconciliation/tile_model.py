@@ -283,13 +283,6 @@ def _tile_points(design: Design) -> tuple[Array, Array]:
     return x, y
 
 
-def _tilt_of(rise_x: Array, rise_y: Array) -> Array:
-    """Return the factor at the four points of tiles whose relative rise from centre to edge is given."""
-    signs_x, signs_y = np.array(_POINTS, dtype=np.float64).T
-    tilt = rise_x[:, :, None] * signs_x + rise_y[:, :, None] * signs_y
-    return np.asarray(1.0 + GAUSS_POINT * tilt)
-
-
 def rise_of(points: Signal) -> tuple[Array, Array]:
     """Return the rise from centre to right and to bottom edge from values at the four points."""
     per_edge = 0.25 / GAUSS_POINT
@@ -522,9 +515,14 @@ class TileModel:
 
     def _scene(self, nuisance: Nuisance) -> TileMoments:
         scene = (self.radiance * np.exp(nuisance.log_radiance))[self.design.pattern_index]
-        slopes = nuisance.slope[self.design.pattern_index]
-        points = _tilt_of(slopes[:, 0], slopes[:, 1]) if nuisance.slope.any() else 1.0
-        return TileMoments.exactly(scene[:, :, None] * np.ones(4) * points)
+        found = scene[:, :, None] * np.ones(4)
+        if nuisance.slope.any():
+            (signs_x, signs_y), slopes = (
+                np.array(_POINTS, dtype=np.float64).T,
+                nuisance.slope[self.design.pattern_index],
+            )
+            found = found * (1.0 + GAUSS_POINT * (slopes[:, 0, :, None] * signs_x + slopes[:, 1, :, None] * signs_y))
+        return TileMoments.exactly(found)
 
     def signal(self, walk: Walk) -> Array:
         """Return the light signal of a walk in electrons, (captures, tiles)."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from radiometer.data.json_text import json_text
 from radiometer.data.storage import write_bytes_atomic, write_text_atomic
-from radiometer.errors import CalibrationError, required_library
+from radiometer.errors import CalibrationError, UsageError, required_library
 from radiometer.moments import moment_of
 from radiometer.numbers import below, unit_text, with_u
 from radiometer.reporting.origin import Origin, moment
@@ -437,7 +437,9 @@ NOTES: Final[dict[str, Callable[[ScreenCalibration], list[str]]]] = {"icc": prof
 
 
 def write_export(calibration: ScreenCalibration, kind: str, path: Path) -> None:
-    """Write one of `EXPORTS`. Raises OutputError if the file cannot be written."""
+    """Write one of `EXPORTS`. Raises UsageError if there is no such kind; OutputError if the file cannot be written."""
+    if kind not in EXPORTS:
+        raise UsageError(f"export {kind!r} is unknown; choose from {', '.join(EXPORTS)}")
     content = EXPORTS[kind][0](calibration)
     if isinstance(content, bytes):
         write_bytes_atomic(path, content)

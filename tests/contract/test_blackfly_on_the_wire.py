@@ -51,7 +51,6 @@ def test_it_is_the_camera_of_its_preset(blackfly):
         assert (camera.identity.vendor, camera.identity.model) == ("FLIR", "BFS-U3-19S4M")
         assert camera.identity.serial == "22500077"
         assert camera.description.pixel_pitch_um == 4.5
-    with opened() as camera:
         switched = {f.feature.name for f in camera.session.hygiene if f.state == "switched_off"}
         assert {"ExposureAuto", "GainAuto", "GammaEnable", "SharpeningEnable"} <= switched
         assert not [f for f in camera.session.hygiene if f.state == "still_on"]

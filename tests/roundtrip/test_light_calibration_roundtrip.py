@@ -42,11 +42,8 @@ def test_set_radiance_is_true_within_the_stated_uncertainty_over_five_decades(ca
     assert np.mean(np.abs(errors) <= 1.0) > 0.6
 
 
-def test_ranges_meet_and_warm_up_is_stated(calibration):
-    """Where both ranges reach, their interpolations agree within their own uncertainties.
-
-    At the highest level the blue spot starts 5 % brighter than it settles: 0.2 %/K over some 27 K.
-    """
+def test_ranges_meet_and_the_file_holds_everything(calibration, tmp_path):
+    """Within their own uncertainties; read again it chooses the same levels and extrapolates none."""
     for channel in ("spot", "spot_red"):
         ranges = calibration.channels[channel].ranges
         radiance, u_low, _ = ranges["low"].at(8000)
@@ -55,10 +52,6 @@ def test_ranges_meet_and_warm_up_is_stated(calibration):
         assert abs(radiance / other - 1) < 2 * math.hypot(u_low, u_high) + 0.5 / step_high
     top = max(calibration.channels["spot"].points, key=lambda point: point.radiance_W_per_sr_m2)
     assert top.start_rel == pytest.approx(1 / (1 - 0.002 * 30 * 60000 / 65536), abs=0.01)
-
-
-def test_file_holds_everything_and_nothing_is_extrapolated(calibration, tmp_path):
-    """Written and read again, the calibration chooses the same levels; what is out of range is refused with it."""
     calibration.write(tmp_path / "box.yaml")
     again = LightCalibration.read(tmp_path / "box.yaml")
     for radiance in (2e-5, 1e-3, 0.3):

@@ -10,19 +10,29 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.analysis.merge.bracket import repair_defects
 from radiometer.analysis.reading.budget import frame_u_rel, spectral_u_rel
+from radiometer.analysis.signal.dark_map import dark_map, without_full
 from radiometer.analysis.signal.lens import known_f_number
 from radiometer.analysis.signal.model import (
     SignalModel,
     dark_levels,
-    dark_map,
     signal_model,
     some_lit_pixels,
     temperature_factor,
     with_found_code_step,
 )
 from radiometer.analysis.signal.situation import situation_of
-from radiometer.data import BlackLevel, Frame, FrameSettings, LensDescription, Patch, Quantity, SensorNoise
+from radiometer.data import (
+    BlackLevel,
+    Frame,
+    FrameSettings,
+    LensDescription,
+    Patch,
+    PixelMask,
+    Quantity,
+    SensorNoise,
+)
 from radiometer.data.setup import Setup
 from radiometer.errors import CalibrationError, MeasurementError
 from radiometer.units import photon_energy_j
@@ -182,17 +192,25 @@ def _open(frames: Sequence[Frame], *, lit: bool) -> list[Frame]:
 
 def _merged(frames: list[Frame], dark: list[Frame], scale: FluxScale) -> _Map:
     model = scale.model
-    levels = dark_levels([f.settings for f in frames], dark, model, scale.black)
+    levels = dark_levels([f.settings for f in frames], without_full(dark, model), model, scale.black)
     signal, variance, time = (np.zeros(frames[0].shape) for _ in range(3))
+    unknown = np.zeros(frames[0].shape, bool)
     shortest = np.zeros(frames[0].shape)
     alike = Counter((one.settings.exposure_s, one.settings.gain_db) for one in frames)
     for frame, level in zip(frames, levels, strict=True):
-        own, own_variance = dark_map(frame.settings, dark, model, level)
-        x = model.table(frame.settings)[frame.dn] - (own.reshape(frame.shape) if own.size > 1 else own)
-        good = frame.dn < model.saturation_dn(frame.settings)
+        by_pixel = dark_map(frame.settings, dark, model, level)
+        own, hot = (
+            one.reshape(frame.shape) if one.size > 1 else one for one in (by_pixel.signal, by_pixel.variance_hot)
+        )
+        x = model.table(frame.settings)[frame.dn] - own
+        missing = np.isin(np.arange(frame.dn.size), by_pixel.unknown).reshape(frame.shape)
+        unknown |= missing
+        good = (frame.dn < model.saturation_dn(frame.settings)) & ~missing
         signal += np.where(good, x, 0.0)
-        of_dark = own_variance * alike[frame.settings.exposure_s, frame.settings.gain_db]  # all of them share it
-        own_noise = model.variance(np.maximum(x, 0.0), frame.settings) + level.variance
+        # Lights of one exposure share the noise of its dark frames.
+        of_dark = (by_pixel.variance + hot) * alike[frame.settings.exposure_s, frame.settings.gain_db]
+        of_hot = np.where(hot > 0.0, np.maximum(own - level.signal, 0.0) / model.electrons_per_unit, 0.0)
+        own_noise = model.variance(np.maximum(x, 0.0), frame.settings) + level.variance + of_hot
         variance += np.where(good, own_noise + of_dark, 0.0)
         time += np.where(good, frame.settings.exposure_s, 0.0)
         if frame is frames[0]:
@@ -200,7 +218,12 @@ def _merged(frames: list[Frame], dark: list[Frame], scale: FluxScale) -> _Map:
     known = time > 0
     seconds = np.where(known, time, 1.0)
     irradiance = np.where(known, signal / seconds, shortest) * scale.joule_per_m2
-    return _Map(irradiance, variance / seconds**2 * scale.joule_per_m2**2, time)
+    variance = variance / seconds**2 * scale.joule_per_m2**2
+    if (filled := unknown & ~known).any():
+        u, mask = np.sqrt(variance), np.where(known | filled, 0, PixelMask.SATURATED).astype(np.uint8)
+        repair_defects(irradiance, u, mask, [(int(x), int(y)) for y, x in np.argwhere(filled)])
+        variance, time = u**2, np.where(filled, frames[0].settings.exposure_s, time)
+    return _Map(irradiance, variance, time)
 
 
 def _background(whole: _Map, off: _Map | None, region: Patch | None) -> tuple[NDArray[np.float64], float, str]:

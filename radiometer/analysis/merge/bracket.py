@@ -143,10 +143,10 @@ def finish_sums(
         begin: First of the pixels in the picture that dark signals are of.
     """
     summed = sums.first, sums.second, sums.squares, sums.patterns(), sums.mask
-    pixels, lower = with_own_ends(terms, summed[3], begin)
+    pixels, *own_ends = with_own_ends(terms, summed[3], begin, tables.kappa)
     own = np.empty(pixels.size), np.empty(pixels.size), np.empty(pixels.size, np.uint8)
     if pixels.size:
-        finish_moved(summed, kept, *tables.arguments, pixels, lower, own)
+        finish_moved(summed, kept, *tables.arguments, pixels, tuple(own_ends), own)
     finish(summed, kept, *tables.arguments, (factor, sums.first, sums.second))
     if pixels.size:
         scale = factor[pixels] if factor.size > 1 else factor
@@ -154,8 +154,8 @@ def finish_sums(
 
 
 def repair_defects(
-    radiance: NDArray[np.float32],
-    u_radiance: NDArray[np.float32],
+    radiance: NDArray[np.floating],
+    u_radiance: NDArray[np.floating],
     mask: NDArray[np.uint8],
     defects: Sequence[tuple[int, int]],
 ) -> None:
@@ -848,6 +848,17 @@ class StreamingMerge:
         note = f"light of another spectrum than {calibration.spectrum} may be off: {100 * off:.2g} % (k = 1)"
         return (f"{note} over {', '.join(KINDS)}, which u does not hold",) if off >= _REPORTED_REL else ()
 
+    def _without_dark_signal(self) -> tuple[list[tuple[int, int]], tuple[str, ...]]:
+        """Return pixels (x, y) whose dark signal no dark frame shows, because they fill up, and what to say of them."""
+        places = np.unique(np.concatenate([one.unknown for one in self._terms]))
+        if not places.size:
+            return [], ()
+        note = (
+            f"{places.size} pixels fill up in the dark frames: their dark signal is unknown, and neighbours fill them"
+        )
+        width = self._known_shape()[1]
+        return [(int(place % width), int(place // width)) for place in places], (note,)
+
     def _numbers(self) -> set[float | None]:
         """Return the f-numbers of the frames."""
         return {terms.settings.f_number or self._situation.lens.f_number for terms in self._terms}
@@ -855,7 +866,8 @@ class StreamingMerge:
     def _map(self, flat: Images) -> RadianceMap:
         shape, calibration = self._known_shape(), self._calibration
         images = flat[0].reshape(shape), flat[1].reshape(shape), flat[2].reshape(shape)
-        repair_defects(*images, calibration.defects if calibration else ())
+        unknown, of_unknown = self._without_dark_signal()
+        repair_defects(*images, (*(calibration.defects if calibration else ()), *unknown))
         white = white_level_notes(terms.settings.white_level for terms in self._terms)
         used, doubtful = self._of_taps(images[0], images[2])
         u_rel_pattern, of_pattern = self._doubt_pattern(*images[:2])
@@ -880,6 +892,7 @@ class StreamingMerge:
                     *self._of_noise,
                     *self._copies.notes,
                     *used,
+                    *of_unknown,
                     *of_wander,
                     *of_time,
                     *not_in_u,

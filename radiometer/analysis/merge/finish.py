@@ -799,21 +799,27 @@ def _single(
 
 @compiled
 def finish_moved(
-    sums: Any, kept: Any, tables: Any, quantisation: Any, pixels: Any, lower: Any, found: Any
+    sums: Any, kept: Any, tables: Any, quantisation: Any, pixels: Any, own_ends: Any, found: Any
 ) -> None:  # pragma: no cover (compiled)
-    """Do as `_single` does for pixels whose frames end elsewhere than those of the others; arguments as `finish`.
+    """Do as `_single` does for pixels whose frames end elsewhere or have more noise; arguments as `finish`.
 
     Args:
         pixels: Their places.
-        lower: x by which the ends of each frame are lower there, shape (pixels, frames).
+        own_ends: x by which the ends of each frame are lower there, and how much more variance of x it has, each of
+            shape (pixels, frames).
         found: Rates, variances and masks of these pixels, written.
     """
     bits, (known, records, levels) = sums[3], kept
     frames, kappa, bounds, gains, curve, top, valid = tables
     own, limits, record, slots = frames.copy(), bounds.copy(), np.zeros((1, RECORD_SIZE)), np.empty(1, np.uint16)
+    lower, noisier = own_ends
+    singly = np.zeros((1, 2, LEVEL_SIZE))  # too few levels to stand between: `_single` works out each pixel
     for j in range(pixels.size):
         i = pixels[j]
         own[:, 2], own[:, 6] = frames[:, 2] - lower[j], frames[:, 6] - lower[j]
+        for k in (1, 5, 7):
+            own[:, k] = frames[:, k] + noisier[j]
+        own[:, 3] = np.sqrt(frames[:, 3] ** 2 + noisier[j])
         limits[0] = max(np.max(own[:, 2] / own[:, 0]), bounds[1])
         slots[0] = 0
         _find_sets(bits[i : i + 1], slots, known, records, levels, frames, kappa, gains, top)
@@ -822,7 +828,7 @@ def finish_moved(
         slot = slots[0]
         found[0][j], found[1][j], found[2][j] = _single(
             sums,
-            (known, record, levels[slot : slot + 1]),
+            (known, record, levels[slot : slot + 1] if noisier[j].max() == 0.0 else singly),
             (own, kappa, limits, gains, curve, top, valid),
             quantisation,
             i,

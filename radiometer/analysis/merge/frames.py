@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from radiometer.analysis.signal.dark_map import dark_map, without_full
 from radiometer.analysis.signal.lens import lens_factor_sr
-from radiometer.analysis.signal.model import SignalModel, dark_levels, dark_map
+from radiometer.analysis.signal.model import SignalModel, dark_levels
 from radiometer.analysis.signal.situation import Situation
 from radiometer.data import Frame, FrameSettings
 from radiometer.typing import Array
@@ -44,6 +45,9 @@ class FrameTerms:
     level: float = 0.0  # dark signal x that both ends are counted from: the whole frame's
     has_single_dark: bool = False  # whether one dark frame alone gives its dark signal
     dark_variance: float = 0.0  # variance of every pixel's `dark`, within `variance`; frames of one exposure share it
+    # Variance of a hot pixel's `dark` beyond that, flat; 0 at all others, size 1 where there are none
+    variance_hot: NDArray[np.float32] = field(default_factory=lambda: np.zeros(1, np.float32))
+    unknown: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, np.intp))  # pixels without a dark signal
 
 
 def frame_terms(
@@ -65,8 +69,10 @@ def frame_terms(
     """
     model = situation.model
     gain = gain_factor(settings.gain_db)
-    level = dark_levels([settings], dark_frames, model, situation.black, masked_dn=(masked_dn,), darkest=(darkest,))[0]
-    dark, extra = dark_map(settings, dark_frames, model, level)
+    whole = without_full(dark_frames, model)
+    level = dark_levels([settings], whole, model, situation.black, masked_dn=(masked_dn,), darkest=(darkest,))[0]
+    by_pixel = dark_map(settings, dark_frames, model, level)
+    dark, extra = by_pixel.signal, by_pixel.variance
     of_frames = math.sqrt(max(level.u_independent**2 - (extra / dark.size if dark.size > 1 else 0.0), 0.0))
     low, high = _lowest_dn(model, settings), math.ceil(model.saturation_dn(settings))
     clips_at = float(model.at_dn(model.table(settings), high - 0.5)) - level.signal
@@ -89,6 +95,8 @@ def frame_terms(
         level.signal,
         level.is_single,
         extra,
+        by_pixel.variance_hot,
+        by_pixel.unknown,
     )
 
 
@@ -98,17 +106,19 @@ def longest_of(terms: Sequence[FrameTerms]) -> int:
 
 
 def with_own_ends(
-    terms: Sequence[FrameTerms], used: NDArray[np.uint16] | NDArray[np.uint64], begin: int
-) -> tuple[NDArray[np.intp], Array]:
-    """Return the pixels whose own dark signal moves where their frames clip, and by how much.
+    terms: Sequence[FrameTerms], used: NDArray[np.uint16] | NDArray[np.uint64], begin: int, shot: float
+) -> tuple[NDArray[np.intp], Array, Array]:
+    """Return the pixels whose own dark signal moves where their frames clip, or adds noise, and by how much.
 
     Args:
         terms: Of all frames, in the order of their bits.
         used: Bits of the frames used in each pixel.
         begin: First of these pixels in the picture.
+        shot: Variance of shot noise per unit of x.
 
     Returns:
-        Places of the pixels; and x by which the ends of each frame are lower there, shape (pixels, frames).
+        Places of the pixels; x by which the ends of each frame are lower there, and the variance of x that each has
+        beyond that of other pixels, shape (pixels, frames).
     """
     uneven = [(k, one) for k, one in enumerate(terms) if one.dark.size > 1]
     moved = np.zeros(used.size, bool)
@@ -117,11 +127,18 @@ def with_own_ends(
         moved |= (off > _MOVED_SIGMA * one.sigma_clip) & (used >> used.dtype.type(k) & used.dtype.type(1) == 0)
         if one.low_dn > 0:
             moved |= off > _MOVED_SIGMA * one.sigma_cut
+        if one.variance_hot.size > 1:
+            moved |= one.variance_hot[begin : begin + used.size] > 0.0
     pixels = np.flatnonzero(moved)
-    lower = np.zeros((pixels.size, len(terms)))
+    lower, noisier = np.zeros((2, pixels.size, len(terms)))
+    alike = Counter((one.settings.exposure_s, one.settings.gain_db) for one in terms)
     for k, one in uneven:
         lower[:, k] = one.dark[begin + pixels] - one.level
-    return pixels, lower
+        if one.variance_hot.size > 1:  # lights of one exposure share the dark frames' noise; each has its own
+            of_dark = one.variance_hot[begin + pixels]
+            of_light = np.where(of_dark > 0.0, shot * np.maximum(lower[:, k], 0.0), 0.0)
+            noisier[:, k] = of_light + alike[one.settings.exposure_s, one.settings.gain_db] * of_dark
+    return pixels, lower, noisier
 
 
 def with_taps(terms: FrameTerms, frame: Frame, model: SignalModel) -> FrameTerms:

@@ -208,6 +208,8 @@ class MergeSample:
         """Return some pixels as a separate frame at another place among the frames."""
         dark = self.terms.dark
         terms = self.terms if dark.size == 1 else replace(self.terms, dark=np.ascontiguousarray(dark[pixels]))
+        if terms.variance_hot.size > 1:
+            terms = replace(terms, variance_hot=terms.variance_hot[pixels])
         return replace(self, dn=np.ascontiguousarray(self.dn[pixels]), terms=terms, index=index)
 
     def is_like(self, other: MergeSample) -> bool:

@@ -27,6 +27,7 @@ from radiometer.analysis.reading.budget import (
     unstated_u_rel,
 )
 from radiometer.analysis.reading.estimate import PatchEstimate, estimate_patch
+from radiometer.analysis.signal.dark_map import dark_map
 from radiometer.analysis.signal.lens import (
     falloff_known,
     flat_doubt,
@@ -42,7 +43,6 @@ from radiometer.analysis.signal.model import (
     corrected_frames,
     crop_frames,
     dark_levels,
-    dark_map,
     picked,
     refuse_brighter_darks,
     straightened,
@@ -272,11 +272,11 @@ def _without_pattern(
     frame: PatchFrame, dark_frames: Sequence[Frame], level: DarkLevel, model: SignalModel
 ) -> PatchFrame:
     """Return the frame's patch with what its dark frames show of single pixels taken out, its mean left as it is."""
-    own, variance = dark_map(frame.settings, dark_frames, model, level)
-    if own.size == 1:
-        return frame
-    pattern = own.reshape(frame.signal.shape)
-    return replace(frame, signal=frame.signal - (pattern - pattern[frame.sound].mean()), dark_variance=variance)
+    own = dark_map(frame.settings, dark_frames, model, level)
+    if own.signal.size == 1:
+        return replace(frame, dark_variance=own.variance)
+    pattern = own.signal.reshape(frame.signal.shape)
+    return replace(frame, signal=frame.signal - (pattern - pattern[frame.sound].mean()), dark_variance=own.variance)
 
 
 def _evened(frame: PatchFrame, dark: float, place: NDArray[np.float64]) -> PatchFrame:

@@ -36,12 +36,18 @@ _FACTORS: Final = (1.0, 1e-2, 1e2)
 # as predicting as well.
 _LEAST_GAIN: Final = 0.97
 _AS_WELL: Final = 1.1
+# A smoother curve is no worse in DN within the chance of frames that it was fitted to.
+_AS_GOOD: Final = 1.01
+# Of a step between exposures, in stops: dials keep their stops to less.
+_STEP_TOLERANCE: Final = 0.02
 # Up to so many neighbouring groups that count as one, the restricted likelihood needs no judge.
 MANY_AS_ONE: Final = 3.0
 # Unless the rows, less one for each group, are hardly more than the coefficients: a curve through all of them (two
 # frames) leaves no noise, and λ may be too small by orders of magnitude.
 _FEW_ROWS: Final = 2.0
 _FACTORS_OF_FEW: Final = (*_FACTORS, 1e4, 1e6)
+# λ of a first curve, relative to tr(N)/tr(P): from one that follows every mean to a parabola over the basis variable.
+_START_SMOOTHINGS: Final = (1e-2, 1.0, 1e2, 1e3, 1e4, 1e5, 1e6)
 METHOD = "auto"
 _FEW_TONES: Final = (
     "the picture has few tones, or some in one part only: the frames agree, and between tones the curve follows from "
@@ -80,7 +86,7 @@ def judge_by_prediction(
         labels: Wrong labels that it has freed; frames that may be wrong in their place make rivals too.
     """
     rivals = tuple(_with_other_labels(samples, start, labels))
-    few = found.fit.normal.freedom < _FEW_ROWS * found.fit.basis_size
+    few = found.fit.normal.freedom < _FEW_ROWS * found.fit.basis_size or _is_flattened(samples, found)
     doubtful = few or found.choices.inflation > MANY_AS_ONE
     if not doubtful or not samples.without_quadrant or found.choices.smoothing is None:
         return Judged(found, other_labels=rivals)
@@ -102,6 +108,21 @@ def judge_by_prediction(
     }
     chosen = fits.pop(best)
     return Judged(chosen, tuple(fits.values()), rivals)
+
+
+def _is_flattened(samples: ResponseSamples, found: FittedResponse) -> bool:
+    """Return whether a smoother curve predicts these very frames as well in DN: noise may have made flat parts.
+
+    Errors in ln H are the least where a curve is flat. Where a wave that the frames do not show makes it flat, the
+    restricted likelihood takes the wave for what the data call for.
+    """
+    if found.choices.smoothing is None:
+        return False
+    smoother = (fit_with(samples, found.log_exposure, _smoother(found, factor)) for factor in _FACTORS_OF_FEW[-3:])
+    own, *others = (
+        error_dn(prediction_error_dn(samples, one.log_exposure, one.fit.log_time_errors)) for one in (found, *smoother)
+    )
+    return min(others) <= _AS_GOOD * own
 
 
 def without_frames(samples: ResponseSamples, found: FittedResponse) -> Iterator[tuple[int, FittedResponse]]:
@@ -202,11 +223,27 @@ def recover_colours_auto(colours: Sequence[Bracket | Sequence[Bracket]]) -> list
 @on_one_blas_thread
 def solve_colours_auto(samples: Sequence[ResponseSamples]) -> list[ResponseEstimate]:
     """Recover the responses of several colours from gathered samples; see `recover_colours_auto`."""
-    planes = [Plane(one, curve_debevec1997(one).log_exposure) for one in samples]
+    planes = [Plane(one, _start(one)) for one in samples]
     found = find_exposures(planes)
     # A colour by itself finds its labels again; several hold each other to what they found together.
     known = tuple(label.log_ratio for label in found.wrong) if len(planes) > 1 else ()
     return [_estimate(plane, found, known) for plane in planes]
+
+
+def _start(samples: ResponseSamples) -> Array:
+    """Return g of the smoothest of Debevec and Malik's curves that predict frames from each other nearly as any does.
+
+    Their λ follows from errors in ln H. These are the least where a curve is flat, and a wave that the frames do not
+    show (one exposure step long) makes it flat where the noise is. Errors in DN grow there instead.
+    """
+    curves = [curve_debevec1997(samples).log_exposure]
+    for smoothing in _START_SMOOTHINGS:
+        try:
+            curves.append(curve_debevec1997(samples, smoothing=smoothing).log_exposure)
+        except MeasurementError:
+            continue
+    errors = [error_dn(prediction_error_dn(samples, one)) for one in curves]
+    return curves[max(n for n, error in enumerate(errors) if error <= _AS_WELL * min(errors))]
 
 
 def _estimate(plane: Plane, exposures: Exposures, known: tuple[tuple[float, float], ...]) -> ResponseEstimate:
@@ -430,9 +467,12 @@ def _notes(
             f"equally bright pixels vary {np.sqrt(samples.edge_scatter):.2g} times as much at edges as on even ground "
             "(movement by parts of a pixel, resampling): the half of the pixels next to edges was left out"
         )
-    if _at_whole_stops(samples):
+    if (step := _common_step(samples)) is not None:
+        whole = abs(step - round(step)) < _STEP_TOLERANCE
+        apart = "whole stops" if whole else f"multiples of {step:.3g} stops"
+        period = "one stop" if whole and round(step) == 1 else f"{step:.3g} stops"
         notes.append(
-            "all exposures are whole stops apart: these data cannot show a wave of one stop's period in ln H. It is "
+            f"all exposures are {apart} apart: these data cannot show a wave in ln H with a period of {period}. It is "
             "kept as small as the curve's smoothness allows; one frame a third of a stop off would show it"
         )
     if (doubt := _no_curve(result)) is not None:
@@ -493,6 +533,16 @@ def _note_on_disagreement(result: FittedResponse, parts: _Parts) -> str:
     )
 
 
-def _at_whole_stops(samples: ResponseSamples) -> bool:
-    stops = np.diff(np.sort(samples.frame_log_time)) / np.log(2.0)
-    return bool(np.all(np.abs(stops - np.round(stops)) < 0.02))
+def _common_step(samples: ResponseSamples) -> float | None:
+    """Return the largest step in stops that all exposures are multiples of; None where it is below a stop.
+
+    Finer steps leave waves that are shorter than what bends real curves.
+    """
+    stops = np.diff(np.unique(samples.frame_log_time)) / np.log(2.0)
+    stops = stops[stops > _STEP_TOLERANCE]
+    for parts in (1, 2, 3):
+        step = float(stops.min(initial=np.inf)) / parts
+        counts = np.round(stops / step) if 1.0 - _STEP_TOLERANCE < step < np.inf else np.zeros(1)
+        if counts.all() and np.all(np.abs(stops - counts * step) < _STEP_TOLERANCE):
+            return float(np.sum(stops) / counts.sum())
+    return None

@@ -27,6 +27,7 @@ from radiometer.data.code_step import code_step_of
 from radiometer.data.frame import DigitalNumbers
 from radiometer.data.sensor_noise import U_UNKNOWN_WARMTH_REL, most_dark_e_per_s, u_warmth_rel, warmer
 from radiometer.errors import CalibrationError, MeasurementError
+from radiometer.statistics.model_choice import THREE_SIGMA, is_supported
 from radiometer.statistics.scale import TWENTIETH_TO_SIGMA, neighbour_sigma, robust_sigma, typical_pixels
 from radiometer.units import gain_factor
 
@@ -406,45 +407,7 @@ def _without_dark_current(
     return level - part, part
 
 
-def dark_map(
-    settings: FrameSettings, dark_frames: Sequence[Frame], model: SignalModel, level: DarkLevel
-) -> tuple[NDArray[np.float32], float]:
-    """Return the dark signal x of every pixel, flat, with the variance of that mean, or one level for all with none.
-
-    Args:
-        settings: Of the light frame.
-        dark_frames: Frames with the shutter closed. Those of the same exposure count; else those with the least more
-            dark current, their pixels' deviations from the mean by the ratio of both.
-        model: Signal model of the camera.
-        level: Dark level of the light frame, for all where there are none.
-    """
-    matching = matching_darks(settings, dark_frames)
-    if not matching:
-        return _scaled_pattern(settings, dark_frames, model, level)
-    total = _warmed(matching[0], settings, model, level.black).ravel().astype(np.float32)
-    for frame in matching[1:]:
-        total += _warmed(frame, settings, model, level.black).ravel().astype(np.float32)
-    total /= np.float32(len(matching))
-    return total, (float(model.variance(0.0, settings)) + level.variance) / len(matching)
-
-
-def _scaled_pattern(
-    settings: FrameSettings, dark_frames: Sequence[Frame], model: SignalModel, level: DarkLevel
-) -> tuple[NDArray[np.float32], float]:
-    here = _seconds_at_reference(settings, model)
-    usable = [one for one in dark_frames if one.settings.gain_db == settings.gain_db and not is_cut_off(one)]
-    more = {id(one): _seconds_at_reference(one.settings, model) for one in usable}
-    there = min((time for time in more.values() if time >= here), default=math.inf)
-    alike = [one for one in usable if there <= more[id(one)] <= there * (1.0 + _SAME_EXPOSURE_REL)]
-    if not alike:
-        return np.full(1, level.signal, np.float32), 0.0
-    share, shown = here / there, np.mean([signal_of(one, model, settings) for one in alike], axis=0).ravel()
-    noise = float(model.variance(0.0, alike[0].settings)) + level.variance / share
-    own = level.signal + share * (shown - shown.mean())
-    return np.asarray(own, dtype=np.float32), share**2 * noise / len(alike)
-
-
-def _warmed(frame: Frame, settings: FrameSettings, model: SignalModel, black: float) -> NDArray[np.float64]:
+def warmed_signal(frame: Frame, settings: FrameSettings, model: SignalModel, black: float) -> NDArray[np.float64]:
     """Return the signal x of every pixel of a dark frame as at a light frame's temperature; `black` does not change."""
     signal, factor = signal_of(frame, model, settings), _warmer(settings, frame, model)
     return signal if factor == 1.0 else black + factor * (signal - black)
@@ -465,7 +428,7 @@ def _from_frames(
 ) -> DarkLevel:
     means, count = [], 0
     for frame in frames:
-        means.append(float(_warmed(frame, settings, model, black).mean()))
+        means.append(float(warmed_signal(frame, settings, model, black).mean()))
         count += frame.dn.size
     sigma = float(np.sqrt(model.variance(0.0, settings) / count))
     if (freedom := len(means) - 1) > 0:  # black levels wander from frame to frame, beyond what noise leaves in a mean
@@ -519,24 +482,26 @@ def _from_other_exposures(
 ) -> DarkLevel:
     """Return the dark signal that dark frames of other exposures or temperatures show.
 
-    Two exposures or more determine black level and dark current. One corrects the black level, and the dark current
-    is the modelled one.
+    The dark signal is a straight line over time. A stated black level is its value at zero, and two exposures or more
+    show it as well. One exposure corrects the black level too, with the modelled dark current: whichever is known
+    better counts.
     """
     measured = [_from_frames(frame.settings, [frame], model, darkest) for frame in frames]
-    times = np.array([_seconds_at_reference(frame.settings, model) for frame in frames])
+    times = np.array([seconds_at_reference(frame.settings, model) for frame in frames])
     signals = np.array([level.signal for level in measured])
-    here, u_rel = _seconds_at_reference(settings, model), _u_warmth_rel(settings, frames, model)
+    u_rel = _u_warmth_rel(settings, frames, model)
+    line, here = list[DarkLevel](), seconds_at_reference(settings, model)
+    u_zero = _u_of_stated_black(settings, model, black)
+    if np.ptp(times) > _OTHER_EXPOSURE_REL * times.max():
+        start = _from_line(replace(settings, exposure_s=0.0), frames, model, measured, None, 0.0)
+        # A black level that these frames contradict was another one.
+        if u_zero is not None and is_supported(start.signal**2 / (start.u_common**2 + u_zero**2), THREE_SIGMA):
+            u_zero = None
+        return _from_line(settings, frames, model, measured, u_zero, u_rel)
+    if u_zero is not None:
+        line = [_from_line(settings, frames, model, measured, u_zero, u_rel)]
     noise = float(np.sqrt(np.sum([level.u_independent**2 for level in measured]))) / len(frames)
     rounding = max(level.u_common for level in measured)
-    if np.ptp(times) > _OTHER_EXPOSURE_REL * times.max():
-        middle, spread = float(times.mean()), float(np.sum((times - times.mean()) ** 2))
-        rate = float(np.sum((times - middle) * signals)) / spread
-        level = float(signals.mean()) + rate * (here - middle)
-        lacking = signals - signals.mean() - rate * (times - middle)
-        scatter = max(noise * math.sqrt(len(frames)), float(np.sqrt(np.sum(lacking**2) / max(len(frames) - 2, 1))))
-        u = scatter * math.sqrt(1.0 / len(frames) + (here - middle) ** 2 / spread)
-        shot = _unstated_shot_noise(rate * here, settings, model)
-        return DarkLevel(level, 0.0, math.hypot(u, rate * u_rel * here, rounding), _OTHER, variance=shot)
     modelled = [model.modelled_dark(frame.settings) for frame in frames]
     offset = float(np.mean(signals - np.array(modelled)))
     dark = model.modelled_dark(settings)
@@ -548,10 +513,58 @@ def _from_other_exposures(
         # all of theirs.
         most = (darkest - offset) * apart_s / here if apart_s > 0 else offset
         u_rate = u_unstated = _unknown_dark_u(replace(settings, exposure_s=abs(apart_s)), model, most)
-    return DarkLevel(dark + offset, 0.0, math.hypot(noise, u_rate, rounding), _OTHER, u_unstated)
+    by_model = DarkLevel(dark + offset, 0.0, math.hypot(noise, u_rate, rounding), _OTHER, u_unstated)
+    return min([by_model, *line], key=lambda one: one.u_common)
 
 
-def _seconds_at_reference(settings: FrameSettings, model: SignalModel) -> float:
+def _u_of_stated_black(settings: FrameSettings, model: SignalModel, black: BlackLevel) -> float | None:
+    """Return the standard uncertainty of a stated black level in x of a light frame; None where nothing states one."""
+    if settings.black_level_dn is None and model.camera.black_level_dn is None and not black.dn > 0.0:
+        return None
+    return float(model.at_dn(model.slope, model.black_dn)) / gain_factor(settings.gain_db) * black.u_dn
+
+
+def _from_line(
+    settings: FrameSettings,
+    frames: Sequence[Frame],
+    model: SignalModel,
+    measured: Sequence[DarkLevel],
+    u_zero: float | None,
+    u_warmth: float,
+) -> DarkLevel:
+    """Return the dark signal of a light frame on the straight line over time, extrapolated with its uncertainty.
+
+    Args:
+        measured: What each dark frame shows.
+        u_zero: Standard uncertainty of the black level, which is 0; None where it is not stated.
+        u_warmth: Relative standard uncertainty of the dark current by temperatures.
+    """
+    times = np.array([seconds_at_reference(frame.settings, model) for frame in frames])
+    signals, here = np.array([level.signal for level in measured]), seconds_at_reference(settings, model)
+    rounding = max(level.u_common for level in measured)
+    own = np.array([math.hypot(level.u_independent, level.u_common) for level in measured])
+    sizes, rate = np.array([frame.dn.size for frame in frames]), 0.0
+    if u_zero is not None:
+        times, signals = np.append(times, 0.0), np.append(signals, 0.0)
+    for _ in range(2):  # the dark current's shot noise follows from the line itself
+        dark = rate * times[: own.size]
+        shot = [_unstated_shot_noise(one, frame.settings, model) for one, frame in zip(dark, frames, strict=True)]
+        u = np.hypot(own, np.sqrt(np.array(shot) / sizes))
+        u = np.maximum(u if u_zero is None else np.append(u, u_zero), 1e-9)
+        weights = u**-2.0 / np.sum(u**-2.0)
+        middle = float(weights @ times)
+        spread = float(weights @ (times - middle) ** 2)
+        rate = float(weights @ ((times - middle) * signals)) / spread
+    level = float(weights @ signals) + rate * (here - middle)
+    lacking = signals - float(weights @ signals) - rate * (times - middle)
+    birge = math.sqrt(float(np.sum((lacking / u) ** 2)) / max(times.size - 2, 1))
+    u_line = max(birge, 1.0) * math.sqrt((1.0 + (here - middle) ** 2 / spread) / float(np.sum(u**-2.0)))
+    of_light = _unstated_shot_noise(rate * here, settings, model)
+    u_common = math.hypot(u_line, max(rate, 0.0) * u_warmth * here, rounding)
+    return DarkLevel(level, 0.0, u_common, _OTHER, variance=of_light)
+
+
+def seconds_at_reference(settings: FrameSettings, model: SignalModel) -> float:
     """Return the exposure in s that has the same dark signal at the temperature of the stated dark current."""
     return settings.exposure_s * model.noise.warmer_factor(settings.temperature_c)
 

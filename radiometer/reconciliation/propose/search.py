@@ -14,7 +14,7 @@ from __future__ import annotations
 import operator
 import textwrap
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
@@ -233,10 +233,7 @@ class Proposal:
             "gap_before": self.before.gap,
             "gap_after": self.after.gap,
             "excess_closed": self.closed,
-            "rivals": [
-                {"name": r.name, "stage": r.stage, "covariates": list(r.covariates), "behind_nats": r.behind_nats}
-                for r in self.rivals
-            ],
+            "rivals": [asdict(rival) | {"covariates": list(rival.covariates)} for rival in self.rivals],
         }
 
 
@@ -253,7 +250,8 @@ def _in_words(term: Any, shape: tuple[int, int]) -> str:
 
 
 _CAPTURES: Final = 3
-_SHOWS_CHI2: Final = 9.0
+# A capture is worth taking where its χ² separates the law from none as rivals are separated.
+_WORTH: Final = 2.0 * RIVAL_NATS
 
 
 def _refuting_frames(proposal: Proposal) -> tuple[list[dict[str, Any]], list[str]]:
@@ -267,7 +265,7 @@ def _refuting_frames(proposal: Proposal) -> tuple[list[dict[str, Any]], list[str
     does = "scatters by" if is_noise else "differs by"
     frames, reasons = list[dict[str, Any]](), list[str]()
     for index in np.argsort(-worth)[:_CAPTURES].tolist():
-        if worth[index] < _SHOWS_CHI2 and frames:
+        if worth[index] < _WORTH and frames:
             break
         tile = int(np.argmax(np.abs(apart[index])))
         frame = pool.frame(index)
@@ -385,7 +383,9 @@ class _Look:
     def _of_law(self, law: Law) -> list[_Values]:
         found = [self._product(law.terms)]
         if any("phase" in term.values for term in law.terms):
-            found.append(self._product([_ahead(term) for term in law.terms]))
+            quarter = {"phase": 0.5 * np.pi}
+            ahead = ({name: v + quarter.get(name, 0.0) for name, v in term.values.items()} for term in law.terms)
+            found.append(self._product([replace(t, values=v) for t, v in zip(law.terms, ahead, strict=True)]))
         return found
 
     def _product(self, terms: Sequence[Term]) -> _Values:
@@ -491,11 +491,6 @@ def _response(state: FitState, link: str) -> dict[str, Array]:
     moved = state.comparison.expected(state.predicted_with((*state.effects, effect_of(Law(link), step))))
     base = state.comparison.expected(state.prediction)
     return {name: np.asarray((moved[name] - base[name]) / step) for name in _FOLLOWING}
-
-
-def _ahead(term: Term) -> Term:
-    later = {name: value + 0.5 * np.pi for name, value in term.values.items() if name == "phase"}
-    return replace(term, values={**term.values, **later})
 
 
 def _values_of(state: FitState, term: Term, known: Mapping[str, Array]) -> Array:

@@ -82,6 +82,7 @@ def test_off_darkens_one_channel_only(rig):
     rig.box.off("spot")
     assert rig.wait_until(lambda: rig.duty("spot") == 0)
     assert rig.duty("spot_red") > 0.4
+    rig.box.off("spot_red")
     for name in ("field", "spot", "spot_green", "fixation"):
         rig.box.set_level(name, DriveLevel(10000))
     rig.box.safe()

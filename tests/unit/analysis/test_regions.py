@@ -353,15 +353,8 @@ def test_uncertainty_holds_scale_and_noise():
     assert inside >= 10
 
 
-def test_without_the_extra_the_message_says_how_to_install_it(monkeypatch):
-    """A missing library names the extra."""
-    monkeypatch.setitem(sys.modules, "pyradiance", None)
-    with pytest.raises(MissingLibrary, match=r"pip install 'radiometer\[glare\]'"):
-        glare_of(_room("equidistant"), "equidistant", 180.0)
-
-
-def test_what_evalglare_cannot_judge_is_refused():
-    """A map in W·sr⁻¹·m⁻², less than a hemisphere, and a saturated lamp."""
+def test_what_evalglare_cannot_judge_is_refused(monkeypatch):
+    """Without the extra the message says how to install it."""
     pytest.importorskip("pyradiance")
     room = _room("equidistant")
     with pytest.raises(InputError, match="--spectrum"):
@@ -371,6 +364,9 @@ def test_what_evalglare_cannot_judge_is_refused():
     mask = np.where(room.radiance > 1000, 1, 0).astype(np.uint8)
     with pytest.raises(MeasurementError, match="saturated"):
         glare_of(RadianceMap(room.radiance, room.u_radiance, mask, "cd m-2"), "equidistant", 180.0)
+    monkeypatch.setitem(sys.modules, "pyradiance", None)
+    with pytest.raises(MissingLibrary, match=r"pip install 'radiometer\[glare\]'"):
+        glare_of(_room("equidistant"), "equidistant", 180.0)
 
 
 def test_what_pixels_of_one_level_share_is_not_averaged_away():

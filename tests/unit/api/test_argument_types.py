@@ -71,8 +71,8 @@ def test_a_wrong_type_is_a_radiometer_error(name, argument, values, desk, tmp_pa
         assert_works_or_says(lambda value=value: getattr(rm, name)(**others(name, argument), **{argument: value}))
 
 
-def test_a_single_number_of_numpy_is_a_number(tmp_path, monkeypatch):
-    """What a loop over an array gives; a time step of NumPy is none."""
+def test_numbers_of_numpy_are_numbers_and_uncertainties_bounded(tmp_path, monkeypatch):
+    """A time step of NumPy is none; no u below 0, no relative one above 1."""
     monkeypatch.setenv("RADIOMETER_STATE", str(tmp_path / "state"))
     assert rm.light_pulse("spot", np.float32(0.1), level=np.uint16(2000), box="sim").state.channel == "spot"
     with pytest.raises(rm.UsageError, match="duration_s"):
@@ -81,6 +81,14 @@ def test_a_single_number_of_numpy_is_a_number(tmp_path, monkeypatch):
     assert other.rods_bleached == pytest.approx(plain.rods_bleached, rel=1e-5)  # 24 bits
     with pytest.raises(rm.RadiometerError, match="missing"):
         rm.merge("missing", scale=np.array([1.0, 0.1]))
+    bounds = {}
+    for name, argument, hint in numbers():
+        allowed = range_of(hint)
+        if "u" in argument.split("_"):
+            low, high = (None, None) if allowed is None else (allowed.low, allowed.high)
+            bounds[name, argument] = (low, high if "u_rel" in argument else None)
+    assert {one: found for one, found in bounds.items() if found not in ((0.0, 1.0), (0.0, None))} == {}
+    assert len(bounds) > 10
 
 
 @pytest.mark.parametrize("kind", ["Meter", "Reading", "Stack", "Radiance", "LoggedReadings", "CalibratedScreen"])
@@ -129,18 +137,6 @@ def test_a_number_outside_its_range_is_refused_with_its_bound(name, argument, hi
     if allowed is not None:
         with pytest.raises(rm.UsageError, match=f"(of|from|above) {re.escape(format(allowed.low, 'g'))}"):
             call(**{argument: math.nan})
-
-
-def test_no_uncertainty_is_negative_and_no_relative_one_above_one():
-    """By its name: an argument with `u` as a word is an uncertainty; `u_rel` a relative one."""
-    bounds = {}
-    for name, argument, hint in numbers():
-        allowed = range_of(hint)
-        if "u" in argument.split("_"):
-            low, high = (None, None) if allowed is None else (allowed.low, allowed.high)
-            bounds[name, argument] = (low, high if "u_rel" in argument else None)
-    assert {one: found for one, found in bounds.items() if found not in ((0.0, 1.0), (0.0, None))} == {}
-    assert len(bounds) > 10
 
 
 def assert_works_or_says(call: Callable[[], object]) -> None:

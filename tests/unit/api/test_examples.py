@@ -81,8 +81,8 @@ def test_every_object_shows_itself_in_a_picture(desk, monkeypatch):
         assert axes.has_data()
 
 
-def test_a_reading_is_printed_with_two_digits_of_its_uncertainty():
-    """Value and expanded uncertainty are cut at the same place, unit and flags follow."""
+def test_figures_are_printed_with_two_digits_of_their_uncertainty(desk, monkeypatch):
+    """A reading at the same place; a sensor's table to the last digit."""
     reading = rm.Reading(
         radiance=Quantity(0.326512, 0.00164, "W sr-1 m-2"),
         patch=rm.Patch(840, 240, 120, 120),
@@ -91,10 +91,6 @@ def test_a_reading_is_printed_with_two_digits_of_its_uncertainty():
     )
     assert str(reading) == "0.3265 ± 0.0033 W·sr⁻¹·m⁻² (k = 2) [drift]"
     assert repr(reading) == f"<Reading {reading}, patch 840,240 120 × 120 of 22500001>"
-
-
-def test_the_figures_of_a_sensor_are_written_as_a_table(desk, monkeypatch):
-    """Symbol, value, standard uncertainty and unit, to the last digit; another ending is refused."""
     monkeypatch.chdir(desk)
     sensor = rm.characterise("out/chart")
     sensor.to_csv("figures.csv")

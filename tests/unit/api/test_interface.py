@@ -158,14 +158,6 @@ def test_netcdf_keeps_units_uncertainties_and_flags(stack, tmp_path):
         assert back.attrs["exposures_s"].tolist() == pytest.approx(list(radiance.map.exposures_s))
 
 
-@pytest.mark.slow
-def test_response_and_calibration_exclude_each_other(stack):
-    """A calibration holds a response of its own."""
-    response = rm.recover_response(_gradient())
-    with pytest.raises(UsageError, match="leave --response out"):
-        rm.merge(stack, response, calibration="anything.yaml")
-
-
 def test_a_response_is_recovered_drawn_and_written(tmp_path):
     """A linear camera: ln H rises as ln(DN − black) within 4 u; plot, notebook picture and table show it."""
     response = rm.recover_response(_gradient(), method="linear_spline")
@@ -275,7 +267,10 @@ def test_every_error_can_be_caught_by_its_public_root(error, code):
 
 
 @pytest.mark.slow
-def test_importing_loads_neither_numpy_nor_any_room():
-    """`import radiometer` alone costs nothing."""
+def test_importing_loads_neither_numpy_nor_any_room(stack):
+    """A response and a calibration exclude each other."""
     code = "import sys, radiometer; print([m for m in sys.modules if m.startswith(('numpy', 'radiometer.'))])"
     assert in_a_new_process(code) == "[]"
+    response = rm.recover_response(_gradient())
+    with pytest.raises(UsageError, match="leave --response out"):
+        rm.merge(stack, response, calibration="anything.yaml")

@@ -121,20 +121,6 @@ def test_light_off_darkens_all_that_answer_whatever_else_is_there(capsys, tmp_pa
         assert "MUTE0001" in printed.err
 
 
-def test_light_off_asks_only_the_holder_of_the_box_named(capsys):
-    """Another box stays as it is."""
-    dark = []
-    with (
-        holding("AAAA0001", "/dev/a", lambda: dark.append("a")),
-        holding("BBBB0001", "/dev/b", lambda: dark.append("b")),
-    ):
-        assert [(box.serial, box.port) for box in held_boxes()] == [("AAAA0001", "/dev/a"), ("BBBB0001", "/dev/b")]
-        assert run(["light", "off", "--box", "BBBB0001"]) == 0
-        assert run(["light", "off", "--box", "/dev/a"]) == 0
-    assert dark == ["b", "a"]
-    assert held_boxes() == []
-
-
 def test_a_program_that_hangs_while_it_holds_a_box_is_named(capsys, monkeypatch):
     """A stopped program takes the question and never answers: `light off` fails with its number."""
     with holding("AAAA0001", "/dev/a", lambda: None):
@@ -156,8 +142,8 @@ def test_a_port_is_reported_whole_however_deep_its_folder_is():
         assert [(box.serial, box.pid) for box in held_boxes()] == [("BBBB0001", os.getpid())]
 
 
-def test_pages_darken_every_box_that_is_held():
-    """Lights off of a page asks all holders, the one after a stuck one too, and says who is dark."""
+def test_pages_darken_every_box_that_is_held(capsys):
+    """A page asks all holders, the one after a stuck one too; `light off --box` only that of the box named."""
     dark = []
 
     def stuck():
@@ -170,6 +156,16 @@ def test_pages_darken_every_box_that_is_held():
         with holding("AAAA0001", "/dev/a", stuck), pytest.raises(DeviceInUse, match=told):
             darken_held()
     assert dark == ["b", "b"]
+    dark = []
+    with (
+        holding("AAAA0001", "/dev/a", lambda: dark.append("a")),
+        holding("BBBB0001", "/dev/b", lambda: dark.append("b")),
+    ):
+        assert [(box.serial, box.port) for box in held_boxes()] == [("AAAA0001", "/dev/a"), ("BBBB0001", "/dev/b")]
+        assert run(["light", "off", "--box", "BBBB0001"]) == 0
+        assert run(["light", "off", "--box", "/dev/a"]) == 0
+    assert dark == ["b", "a"]
+    assert held_boxes() == []
 
 
 def test_what_a_killed_holder_left_behind_is_removed(tmp_path):

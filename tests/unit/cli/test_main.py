@@ -484,8 +484,8 @@ def _failed(message):
         structlog.get_logger("test").exception("advice failed", what="the limits")
 
 
-def test_an_error_is_one_line_and_everything_on_demand(capsys):
-    """What failed, which error, what it says and where: no traceback. At DEBUG it is plain, without the variables."""
+def test_errors_and_events_are_one_line_and_everything_on_demand(capsys):
+    """No traceback but at DEBUG, and there without the variables; libraries are heard there alone."""
     for verbosity in (0, 1):
         configure_logging(verbosity)
         _failed("by nothing")
@@ -497,6 +497,15 @@ def test_an_error_is_one_line_and_everything_on_demand(capsys):
     printed = capsys.readouterr().err
     assert "Traceback" in printed
     assert "49999" not in printed
+    configure_logging()
+    structlog.get_logger("test").warning("camera warms up", kelvin=3.5)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "kelvin" in line
+    assert "error=" not in line
+    for verbosity, lines in ((0, []), (1, []), (2, ["invalid value offset"]), (0, [])):
+        configure_logging(verbosity)
+        logging.getLogger("tifffile").error("invalid value offset")
+        assert capsys.readouterr().err.splitlines() == lines
 
 
 def test_a_log_that_cannot_be_written_ends_no_program(monkeypatch):
@@ -512,19 +521,6 @@ def test_a_log_that_cannot_be_written_ends_no_program(monkeypatch):
             with contextlib.suppress(OSError):
                 full.close()
         os.close(target)
-
-
-def test_an_event_is_one_line_and_what_libraries_say_is_for_who_asks_for_everything(capsys):
-    """A plain warning says nothing of an error; what tifffile logs of a damaged file comes at DEBUG alone."""
-    configure_logging()
-    structlog.get_logger("test").warning("camera warms up", kelvin=3.5)
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "kelvin" in line
-    assert "error=" not in line
-    for verbosity, lines in ((0, []), (1, []), (2, ["invalid value offset"]), (0, [])):
-        configure_logging(verbosity)
-        logging.getLogger("tifffile").error("invalid value offset")
-        assert capsys.readouterr().err.splitlines() == lines
 
 
 # Commands that are made of a public function say what the function says.

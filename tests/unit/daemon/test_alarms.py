@@ -290,22 +290,8 @@ def test_only_a_reading_ends_the_alarm_that_none_comes(every_s, after_s):
     assert "reading" not in bench.up
 
 
-def test_a_patch_with_a_name_is_missed_by_its_name():
-    """Readings of the shared patch do not hide it; where it is deleted or nothing is measured, nothing is missed."""
-    bench = _Bench(1.0)
-    for name in ("lamp", "wall"):
-        bench.lateness.expect(name)
-    bench.measure(1.0, 12)
-    assert bench.up == {"reading lamp", "reading wall"}
-    bench.lateness.forget("lamp")
-    assert bench.up == {"reading wall"}
-    bench.lateness.follow(None)
-    bench.wait(100.0)
-    assert bench.up == set()
-
-
 def test_a_pause_for_the_journal_is_no_lack_of_readings():
-    """Hours of a pause miss nothing, hours without a camera readings alone; after either readings are due as before."""
+    """Hours of a pause miss nothing, without a camera readings alone; a patch with a name is missed by its name."""
     bench = _Bench(1.0)
     bench.measure(1.0, 3)
     bench.wait(3600.0, paused=True)
@@ -318,6 +304,16 @@ def test_a_pause_for_the_journal_is_no_lack_of_readings():
     bench.wait(3600.0, able=False)
     assert bench.up == {"reading"}
     bench.measure(1.0, 30)
+    assert bench.up == set()
+    bench = _Bench(1.0)
+    for name in ("lamp", "wall"):
+        bench.lateness.expect(name)
+    bench.measure(1.0, 12)
+    assert bench.up == {"reading lamp", "reading wall"}
+    bench.lateness.forget("lamp")
+    assert bench.up == {"reading wall"}
+    bench.lateness.follow(None)
+    bench.wait(100.0)
     assert bench.up == set()
 
 

@@ -232,7 +232,7 @@ def test_a_repeated_request_is_answered_alike_and_done_once(box):
 
 
 def test_sensors_in_their_units(power):
-    """TMP36: 0.75 V is 25.0 °C, 0.4 V is −10.0 °C; 3.0 V behind 30k/10k is 12 V."""
+    """0.75 V are 25.0 °C, 3.0 V behind 30k/10k 12 V; a framing error counts once, of 200 bytes at once 73 are lost."""
     box = power()
     box.analog(154, 614)  # counts of 5 V/1024
     supply_mv, tenths = map(int, box.ask("ST").split()[1:3])
@@ -241,10 +241,6 @@ def test_sensors_in_their_units(power):
     box.analog(82, 0)
     supply_mv, tenths = map(int, box.ask("ST").split()[1:3])
     assert (supply_mv, tenths) == (0, pytest.approx(82 * 5000 / 1024 - 500, abs=1))
-
-
-def test_lost_and_damaged_bytes_are_counted(power):
-    """A framing error counts once; of 200 bytes that come at once 127 are kept and 73 lost; bad lines are counted."""
     box = power()
     box.send(b"x", damaged=True)
     box.send_at_once(b"y" * 200)
@@ -412,7 +408,7 @@ def test_a_reset_costs_little(box, power):
 
 
 def test_the_memory_lasts_for_years(power):
-    """A bleach of three minutes and its refilling, each day ten times: the cells bear it for twenty years."""
+    """Ten bleaches of three minutes a day for twenty years; a test of forty minutes with blinks is one record."""
     box = power()
     buckets(box)
     box.ask("PU 5 H 60000 180000")
@@ -421,10 +417,6 @@ def test_the_memory_lasts_for_years(power):
     records = box.memory_writes / 10  # into cells that were blank: all ten bytes of each record
     assert 30 < records < 100
     assert records * 10 * 365 * 20 < CELLS_BEAR * RECORDS
-
-
-def test_a_blinking_spot_writes_nothing(power):
-    """A test of forty minutes with blinks of 200 ms each 4 s stays within one part: one record at its begin."""
     box = power()
     buckets(box)
     for _ in range(600):

@@ -126,8 +126,8 @@ def test_what_a_form_does_not_fit_is_missed_only_where_it_is_essential():
     assert without_essential(shading, fitted(0.0)) == ["angle_dependence"]
 
 
-def test_scatter_of_any_width_lacks_its_essential():
-    """A wing whose width the data do not tell may be any glare; darks without noise, at the end of it, are none."""
+def test_laws_and_scatters_without_their_essential_are_no_such_name():
+    """A wing of any width may be any glare; 1 in 1000 along the exposure departs."""
     wing = (fx.StrayLightKernel(0.002, 0.7),)
 
     def fitted(u):
@@ -140,18 +140,6 @@ def test_scatter_of_any_width_lacks_its_essential():
     darks = {"dark_frame_subtracted": {"share": FittedParameter(0.0, None, "1")}}
     assert without_essential((fx.DarkFrameSubtracted(0.0),), darks) == ["dark_frame_subtracted"]
 
-
-@pytest.mark.parametrize(("u_s", "doubted"), [(1e-5, True), (1e-6, False)])
-def test_bands_without_a_time_from_row_to_row_are_any_flicker(u_s, doubted):
-    """What comes from the rolling shutter is the wave along the rows: light that shakes whole frames has none."""
-    bands = fx.RollingShutterBanding(0.02, 200.0, 2e-5)
-    fitted = {"rolling_shutter_banding": {"row_time_s": FittedParameter(2e-5, u_s, "s")}}
-    assert bool(without_essential((bands,), fitted)) is doubted
-
-
-def test_law_that_leaves_structure_in_its_own_place_departs():
-    """A chance of 1 in 1000 counts along the exposure for what acts there, and nothing elsewhere."""
-
     def test(block, where, p_value):
         return Disagreement(block, where, "multiplicative", 20.0, 4, p_value)
 
@@ -159,6 +147,14 @@ def test_law_that_leaves_structure_in_its_own_place_departs():
     quiet = [test("mean", "exposure_s", 0.02), test("mean", "image_x", 0.001), test("variance", "exposure_s", 0.001)]
     assert departing(quiet, late) == []
     assert departing([*quiet, test("mean", "exposure_s", 0.001)], late) == ["exposure_time_offset"]
+
+
+@pytest.mark.parametrize(("u_s", "doubted"), [(1e-5, True), (1e-6, False)])
+def test_bands_without_a_time_from_row_to_row_are_any_flicker(u_s, doubted):
+    """What comes from the rolling shutter is the wave along the rows: light that shakes whole frames has none."""
+    bands = fx.RollingShutterBanding(0.02, 200.0, 2e-5)
+    fitted = {"rolling_shutter_banding": {"row_time_s": FittedParameter(2e-5, u_s, "s")}}
+    assert bool(without_essential((bands,), fitted)) is doubted
 
 
 # The thresholds that decide about names: one table.

@@ -55,7 +55,7 @@ def test_patches_keep_a_margin_and_frames_one_size(make_capture):
 
 
 def test_mean_and_variance_agree_with_numpy(make_capture):
-    """Streaming sums give what all frames at once give."""
+    """Streaming sums are those of all frames; a neighbouring code in steps of 4 is no outlier."""
     captured = make_capture(plan=[{"t": 3e-3}], frames=5)
     design = Design.of(captured.header, captured.frames[0].shape)
     seen, _ = reduce_frames(design, captured.frames.__getitem__)
@@ -66,6 +66,12 @@ def test_mean_and_variance_agree_with_numpy(make_capture):
     assert seen.mean[0, 7] == pytest.approx(stack.mean(), rel=1e-12)
     expected = centred.var(axis=0, ddof=1).sum() / (pixels - 1)
     assert seen.variance[0, 7] == pytest.approx(expected, rel=1e-9)
+    captured = make_capture(plan=[{"t": 1e-4, "shutter": "closed"}, {"t": 1.0, "shutter": "closed"}, {"t": 3e-3}])
+    coarse = [dataclasses.replace(frame, dn=frame.dn - frame.dn % 4) for frame in captured.frames]
+    design = Design.of(captured.header, coarse[0].shape)
+    seen = statistics_of(dataclasses.replace(captured, frames=coarse))
+    assert seen.outliers.tolist() == [0.0, 0.0, 0.0]
+    assert seen.pixels.sum() == 3 * sum(tile.width * tile.height for tile in design.tiles)
 
 
 def test_dark_gap_before_a_bright_neighbour_is_no_blur():
@@ -221,16 +227,6 @@ def test_captures_show_repeatability_but_no_blur_that_borders_feign(declared):
     assert 5.0 * 5e-4 * 0.95 < np.exp(-0.5 / limit**2) < 5.0 * 5e-4 * 4.0
 
 
-def test_noise_below_the_spacing_of_codes_makes_no_defects(make_capture):
-    """Codes in steps of 4 over dark noise of 0.9 DN: a pixel at the neighbouring code is no outlier."""
-    captured = make_capture(plan=[{"t": 1e-4, "shutter": "closed"}, {"t": 1.0, "shutter": "closed"}, {"t": 3e-3}])
-    coarse = [dataclasses.replace(frame, dn=frame.dn - frame.dn % 4) for frame in captured.frames]
-    design = Design.of(captured.header, coarse[0].shape)
-    seen = statistics_of(dataclasses.replace(captured, frames=coarse))
-    assert seen.outliers.tolist() == [0.0, 0.0, 0.0]
-    assert seen.pixels.sum() == 3 * sum(tile.width * tile.height for tile in design.tiles)
-
-
 def test_masked_pixels_leave_row_and_column_ratios_at_one(make_capture):
     """A fifth of all pixels is masked: the mean of 3 × 12 ratios of line means is 1 within 4 sigma."""
     captured = make_capture(plan=[{"t": 1e-4, "shutter": "closed", "g": 12.0}] * 12)
@@ -251,8 +247,8 @@ def test_masked_pixels_leave_row_and_column_ratios_at_one(make_capture):
 
 
 @pytest.mark.slow
-def test_row_pattern_is_known_no_better_than_so_few_rows_allow(make_capture):
-    """64 rows tell a standard deviation to 1/√128 at best: the reported one is no smaller, the truth within 3 of it."""
+def test_few_rows_and_what_stands_still_tell_no_more_than_they_can(make_capture):
+    """64 rows to 1/√128; a drift on its bound hides no offset."""
     sigma_e = 0.6
     rows = sigma_e * np.random.default_rng(11).standard_normal((64, 1))
     state = start_of(make_capture(extra_dn=lambda setting: rows / 2.6 * 10 ** (setting["g"] / 20)))
@@ -260,11 +256,6 @@ def test_row_pattern_is_known_no_better_than_so_few_rows_allow(make_capture):
     entry = fitted_parameters(found)["row_pattern"]["sigma_e"]
     assert entry.u / entry.value > 1.0 / np.sqrt(128.0)
     assert entry.value == pytest.approx(sigma_e, abs=3.0 * entry.u)
-
-
-@pytest.mark.slow
-def test_what_stands_still_hides_nothing(make_capture):
-    """A drift on its bound is no offset; a blur of a tenth of a pixel stays."""
     state = start_of(make_capture(extra_dn=lambda setting: 4.0))
     found = converged_fit(refit(with_effects(state, [BlackLevelDrift(0.1, -20.0)])))
     assert found.parameters.on_bounds()[0].any(), "the reference temperature runs to its bound"
@@ -394,8 +385,19 @@ def _one_after_the_other(captures):
     return [{"t": 3e-3 + 1e-5 * number} for number in range(captures)]
 
 
-def test_without_bands_rows_are_noise_and_bins_whole(make_capture):
-    """Ratios of mean 1 within 4 sigma; a tile covers no further bin than its own."""
+def test_bands_have_the_power_that_a_wave_predicts(make_capture):
+    """1 + A²/2·|z|² within 4 sigma of the phases; without them noise, in whole bins."""
+    captured = make_capture(plan=_one_after_the_other(24), picture=_bands(5, PERIODS_PER_ROW), seed=5)
+    design = Design.of(captured.header, captured.frames[0].shape)
+    seen, _ = reduce_frames(design, captured.frames.__getitem__)
+    power, common = wave_power(RowBins.of(design), seen.bands_basis, PERIODS_PER_ROW)
+    measured = np.nansum(seen.bands, axis=1)
+    expected = np.sum(np.where(np.isfinite(seen.bands), 1 + AMPLITUDE**2 / 2 * power, 0.0), axis=1)
+    assert expected.min() > 10 * seen.bands.shape[1]
+    ratio = measured / expected
+    assert ratio.mean() == pytest.approx(1.0, abs=4 * ratio.std(ddof=1) / np.sqrt(ratio.size))
+    shared = seen.common * seen.common_unit / (AMPLITUDE**2 / 2 * common)
+    assert shared.mean() == pytest.approx(1.0, abs=4 * shared.std(ddof=1) / np.sqrt(shared.size))
     captured = make_capture(plan=[*_one_after_the_other(24), {"t": 1e-3, "shutter": "closed"}], seed=4)
     seen = statistics_of(captured)
     lit = np.isfinite(seen.bands)
@@ -408,21 +410,6 @@ def test_without_bands_rows_are_noise_and_bins_whole(make_capture):
     assert (ending.step, ending.number, ending.orders) == (2, 240, 3)
     assert reaching.orders == 4
     np.testing.assert_array_equal(ending.middle[:3], [0.5, 2.5, 4.5])
-
-
-def test_bands_have_the_power_that_a_wave_predicts(make_capture):
-    """Over 24 captures the ratios summed over all frequencies agree with 1 + A²/2·|z|² within 4 sigma of the phases."""
-    captured = make_capture(plan=_one_after_the_other(24), picture=_bands(5, PERIODS_PER_ROW), seed=5)
-    design = Design.of(captured.header, captured.frames[0].shape)
-    seen, _ = reduce_frames(design, captured.frames.__getitem__)
-    power, common = wave_power(RowBins.of(design), seen.bands_basis, PERIODS_PER_ROW)
-    measured = np.nansum(seen.bands, axis=1)
-    expected = np.sum(np.where(np.isfinite(seen.bands), 1 + AMPLITUDE**2 / 2 * power, 0.0), axis=1)
-    assert expected.min() > 10 * seen.bands.shape[1]
-    ratio = measured / expected
-    assert ratio.mean() == pytest.approx(1.0, abs=4 * ratio.std(ddof=1) / np.sqrt(ratio.size))
-    shared = seen.common * seen.common_unit / (AMPLITUDE**2 / 2 * common)
-    assert shared.mean() == pytest.approx(1.0, abs=4 * shared.std(ddof=1) / np.sqrt(shared.size))
 
 
 def test_a_tile_keeps_of_a_wave_what_random_phases_show(make_capture):
@@ -446,19 +433,14 @@ def test_a_tile_keeps_of_a_wave_what_random_phases_show(make_capture):
 
 
 @pytest.mark.slow
-def test_bands_and_flicker_show_in_statistics_of_their_own(make_capture):
-    """Bands lead in `bands`; a flicker that all rows share leaves nothing there."""
+def test_bands_flicker_and_scatter_show_in_statistics_of_their_own(make_capture):
+    """A flicker that rows share leaves no bands; 0.5 % from frame to frame shows in means."""
     plan = [{"t": t, "d": d} for t in (1e-3, 2e-3, 3e-3) for d in (0.5, 0.9) for _ in range(3)]
     banded = significant(localise(start_of(make_capture(plan=plan, picture=_bands(6, PERIODS_PER_ROW), seed=6))))
     assert banded[0].block == "bands"
     shaken = {test.block for test in significant(localise(start_of(make_capture(plan=plan, picture=_bands(7, 0.0)))))}
     assert "common" in shaken
     assert "bands" not in shaken
-
-
-@pytest.mark.slow
-def test_scatter_without_any_trend_is_reported(make_capture):
-    """Patches that differ at random from frame to frame by 0.5 % scatter the means beyond their noise."""
     rng = np.random.default_rng(9)
 
     def uneasy(image, setting):

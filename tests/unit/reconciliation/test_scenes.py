@@ -32,7 +32,7 @@ def shown(*pictures):
     return [scenes_of(seen)[n] for n in range(len(pictures))]
 
 
-def test_scenes_are_told_by_their_details():
+def test_scenes_are_recognised_by_their_details():
     """Numbered as they come; from noise, even fields and clipped frames none is seen."""
     one, other = scene(1), scene(2)
     lights = zip((one, one, other, one, other, scene(3)), (400.0, 3000.0, 1000.0, 800.0, 3000.0, 900.0), strict=True)
@@ -43,8 +43,8 @@ def test_scenes_are_told_by_their_details():
     assert shown(taken(scene(8), 2000.0, 1), taken(scene(9), 4.0, 2), taken(scene(9), 60_000.0, 3)) == [0, 0, 0]
 
 
-def test_what_cameras_and_lamps_do_is_no_other_scene():
-    """A fall-off, bands along the rows, columns of their own, a steep response and some blur leave its details."""
+def test_cameras_and_borders_make_no_other_scene():
+    """Fall-off, bands, columns and blur leave its details; a tile is the even part of its cell."""
     radiance, (y, x) = scene(4), np.mgrid[-1 : 1 : HEIGHT * 1j, -1 : 1 : WIDTH * 1j]
     changed = [
         radiance * (1.0 - 0.4 * (x * x + y * y)),
@@ -55,6 +55,16 @@ def test_what_cameras_and_lamps_do_is_no_other_scene():
     ]
     pictures = [taken(other, 2000.0, 6 + n) for n, other in enumerate((radiance, *changed))]
     assert shown(*pictures) == [0] * len(pictures)
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    chart = np.where((x >= 63) | ((y % 24 > 5) & (x % 21 > 6)), 1.0, 0.0)
+    entries = tuple(FrameEntry(file=f"{n}.png", exposure_s=0.002 * (1 + n), gain_db=0.0) for n in range(4))
+    frames = [Frame(taken(chart, 1e3 * (1 + n), n), 12, entry.settings) for n, entry in enumerate(entries)]
+    camera = CameraDescription(bit_depth=12, black_level_dn=BLACK)
+    cells = Design.of(CaptureHeader(camera=camera, frames=entries), chart.shape)
+    even = with_even_tiles(cells, frames.__getitem__)
+    assert all(chart[tile.slices].all() for tile in even.tiles)
+    pairs = list(zip(cells.tiles, even.tiles, strict=True))
+    assert all((cell == tile) == (cell.x >= 63) for cell, tile in pairs)
 
 
 def test_blocks_of_a_scene_scatter_as_their_pixels():
@@ -111,17 +121,3 @@ def test_one_frame_and_black_borders_say_nothing_of_a_scene():
     result = reconciled(*((chart, exposure_s) for exposure_s in np.geomspace(0.002, 0.01, 8)))
     assert result.effects == ()
     assert result.global_p[0] > 0.02
-
-
-def test_tile_is_the_even_part_of_its_cell_and_all_of_an_even_cell():
-    """Patches with black borders: no tile holds any of these. Where no border runs, the tile is the whole cell."""
-    y, x = np.mgrid[:HEIGHT, :WIDTH]
-    chart = np.where((x >= 63) | ((y % 24 > 5) & (x % 21 > 6)), 1.0, 0.0)
-    entries = tuple(FrameEntry(file=f"{n}.png", exposure_s=0.002 * (1 + n), gain_db=0.0) for n in range(4))
-    frames = [Frame(taken(chart, 1e3 * (1 + n), n), 12, entry.settings) for n, entry in enumerate(entries)]
-    camera = CameraDescription(bit_depth=12, black_level_dn=BLACK)
-    cells = Design.of(CaptureHeader(camera=camera, frames=entries), chart.shape)
-    even = with_even_tiles(cells, frames.__getitem__)
-    assert all(chart[tile.slices].all() for tile in even.tiles)
-    pairs = list(zip(cells.tiles, even.tiles, strict=True))
-    assert all((cell == tile) == (cell.x >= 63) for cell, tile in pairs)

@@ -52,17 +52,12 @@ def _sets(found):
 
 
 @pytest.mark.slow
-def test_one_chart_cannot_separate_stray_lights_nor_flickers(separated):
-    """They stand together, and a capture that shows more is asked for."""
+def test_stray_lights_are_separated_by_another_surround_alone(separated, make_capture):
+    """One chart leaves them and flickers together; stated radiances count."""
     entry = next(entry for entry in separated.together if {entry.name, *entry.others} >= STRAY)
     assert entry.capture["frames"][0]["shutter"] == "open"
     assert "polarisation" in separated.blind
     assert any(names >= {"mains_ripple", "pwm_flicker"} for names in _sets(separated))
-
-
-@pytest.mark.slow
-def test_stated_radiances_and_other_surrounds_separate_them(make_capture):
-    """Hundreds of χ² next to a bright surround; no two of the three stand together."""
     state, veil = _state(make_capture, [*BRACKET, *DARKS, OTHERS[0]]), fx.VeilingGlare(0.02)
     left, _ = left_by_fit(noiseless(state, veil), veil, Candidate(fx.AmbientLightLeak(0.01), 0.0, 1))
     assert left > 100.0
@@ -109,13 +104,19 @@ class _FromNothing(fx.AmbientLightLeak):
         return cls(1e-13), cls(0.002)
 
 
-def test_entries_are_asked_about_where_they_show(plain):
-    """From whichever start does; a converter that ends at half its codes as it is."""
+def test_entries_are_asked_about_where_they_show_and_likeness_is_fitted(plain):
+    """A limit as it is; derivatives are held to a fit."""
     asked = asked_sizes(plain, {"ambient_light_leak": _FromNothing})
     assert asked["ambient_light_leak"].values()["irradiance_w_m2"] > 1e-9
     effect = asked_sizes(plain, {"adc_saturation": fx.AdcSaturation})["adc_saturation"]
     assert effect in fx.AdcSaturation.starts(plain.model.context)
     assert _brought(plain, effect) > 400.0
+    shaken = asked_sizes(plain, {"mains_ripple": fx.MainsRipple})["mains_ripple"]
+    settling = fx.SeriesSettling.starts(plain.model.context)
+    directions = Directions.of(plain, {"mains_ripple": (shaken,), "series_settling": settling})
+    (target,) = directions.forms["mains_ripple"]
+    assert min(directions.left(target, form)[0] for form in directions.forms["series_settling"]) < 10.0
+    assert ConfusablePair(directions, target).fitted("series_settling") is None
 
 
 def _brought(state, effect):
@@ -145,17 +146,6 @@ def test_limit_is_followed_by_another_whole_and_not_in_part(plain):
     moved, part = plain.fit.followed_with_half(followed)
     expected = float(np.sum(moved**2) - np.sum(part**2))
     assert directions.left(target, alone) == pytest.approx((expected, 1.0), rel=1e-6)
-
-
-def test_likeness_by_derivatives_is_held_to_a_fit(plain):
-    """A lamp that settles within a series is, as a small difference of large changes, what mains do to frames; no such
-    lamp does it."""
-    shaken = asked_sizes(plain, {"mains_ripple": fx.MainsRipple})["mains_ripple"]
-    settling = fx.SeriesSettling.starts(plain.model.context)
-    directions = Directions.of(plain, {"mains_ripple": (shaken,), "series_settling": settling})
-    (target,) = directions.forms["mains_ripple"]
-    assert min(directions.left(target, form)[0] for form in directions.forms["series_settling"]) < 10.0
-    assert ConfusablePair(directions, target).fitted("series_settling") is None
 
 
 @pytest.mark.slow

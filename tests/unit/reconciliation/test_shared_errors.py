@@ -80,8 +80,8 @@ def test_noise_of_all_tiles_follows_the_light_of_the_same_few_frames(design, fli
         assert error.covariance("variance")[0][0] == pytest.approx(flicker2 / n[0] * 0.9 * response[0])
 
 
-def test_tiles_share_rows_and_waves(design):
-    """1/40 side by side; by the cosine of their distance in a wave."""
+def test_tiles_share_rows_and_waves_with_their_few_phases(design):
+    """1/40 side by side, the cosine of a distance, 2ρ²/(n−1) − (½+ρ²)/n of squares."""
     shared = design.rows_of_tiles @ design.rows_of_tiles.T
     assert shared[0, 1] * design.tile_height[0] == pytest.approx(1.0, abs=0.1)  # a margin may take rows off
     assert shared[0, 2] == 0.0
@@ -91,10 +91,6 @@ def test_tiles_share_rows_and_waves(design):
         left = TileBands.of(design, periods / distance)
         quadratures = left.quadratures(np.ones(3))
         assert quadratures[0] @ quadratures[2] == pytest.approx(correlation, abs=1e-9)
-
-
-def test_scores_of_one_wave_follow_its_few_phases(design):
-    """The squares of two coefficients of correlation ρ have the covariance 2ρ²/(n−1) − (½+ρ²)/n in units of ρ = 1."""
     bins = RowBins.of(design)
     basis = np.zeros((1, 3, bins.number))
     basis[0, 1, 3], basis[0, 2, 8] = 1.0, 1.0
@@ -263,8 +259,8 @@ def test_charge_that_is_pushed_far_stays_in_the_means_of_lines(declared):
 
 
 @pytest.mark.slow
-def test_captures_of_one_setting_tell_its_own_pattern_once(declared):
-    """Means scatter by the pattern over the root of their pixels; m captures of one setting by √m of that each."""
+def test_captures_of_one_setting_tell_their_pattern_once(declared):
+    """By √m of the pattern over the root of their pixels; what cannot be is refused by name."""
     assert renewed_patterns(declared.design, declared.seen, declared.prediction) == {}
     pattern = replace(declared.prediction, renewed_variance=4.0 * np.ones_like(declared.prediction.mean))
     found = renewed_patterns(declared.design, declared.seen, pattern)
@@ -273,6 +269,8 @@ def test_captures_of_one_setting_tell_its_own_pattern_once(declared):
     assert np.all(found["spatial"][number == 1] == 0.0)
     assert np.all(found["spatial"][number > 1] > 0.0)
     assert set(found) == {"mean", "slope_x", "slope_y", "spatial"}
+    with pytest.raises(UnfitError, match="impossible"):
+        included(declared, _Impossible(0.5))
 
 
 @dataclass(frozen=True)
@@ -292,13 +290,6 @@ class _Impossible(Scaling):
         """Return the root of a negative number."""
         with np.errstate(invalid="ignore"):
             return np.sqrt(-abs(self.size) * np.ones_like(context.settings.exposure_s))
-
-
-@pytest.mark.slow
-def test_effect_that_cannot_be_is_refused_by_name(declared):
-    """Where an effect leads to what no camera does, the search is told which it was, and goes on without it."""
-    with pytest.raises(UnfitError, match="impossible"):
-        included(declared, _Impossible(0.5))
 
 
 @pytest.mark.parametrize("electrons", [0.2, 50.0])

@@ -80,8 +80,8 @@ def test_fits_end_at_the_least_squares_of_their_own_weights(plain):
     assert (off_by(found, again) < 0.1).all()
 
 
-def test_what_is_next_to_is_followed_without_new_derivatives(plain):
-    """All else follows an effect that is held, as in a fit of its own; the effect does not move."""
+def test_what_is_next_to_is_followed_and_predictions_compared(plain):
+    """As in a fit of its own; what models expect alike differs by nothing."""
     state = refit(with_effects(plain, [fx.ExposureTimeOffset(1e-6)]))
     held = fx.ResponseNonlinearity(0.02)
     assert state.fit.effects.shape[1] == 1  # the derivatives that are used
@@ -94,6 +94,17 @@ def test_what_is_next_to_is_followed_without_new_derivatives(plain):
     assert start.cost - fitted.cost > 10.0, "there must be something to follow"
     assert found.cost == pytest.approx(fitted.cost, abs=1e-3 * (start.cost - fitted.cost))
     assert found.effects[0].values()["offset_s"] == pytest.approx(fitted.effects[0].values()["offset_s"], abs=1e-8)
+    effects = (fx.ExposureTimeOffset(4e-6), fx.Prnu(0.01))
+    alone = np.stack([plain.comparison.residual(plain.predicted_with((effect,))) for effect in effects], axis=1)
+    models = [(plain.model.with_effects((effect,)), plain.nuisance) for effect in effects]
+    ((numbers, several),) = predict_several(models, plain.trace)
+    assert plain.comparison.residual(several) == pytest.approx(alone[:, numbers], abs=1e-12)
+    changes = -plain.moved_by([(effect,) for effect in effects])
+    assert changes == pytest.approx(alone - plain.plain_residual[:, None], abs=1e-9)
+    mean, spatial = (plain.comparison.cuts[name] for name in ("mean", "spatial"))
+    assert changes[mean, 0].any()
+    assert not changes[mean, 1].any()
+    assert changes[spatial, 1].any()
 
 
 def test_columns_of_an_unknown_scene_are_what_each_rise_alone_changes(make_capture):
@@ -183,23 +194,8 @@ def test_chain_goes_on_from_the_first_step_that_differs(plain):
     assert model.trace(here.nuisance, here) is here
 
 
-def test_predictions_are_compared_with_one_another_as_with_the_data(plain):
-    """Residuals of several predictions at once are those of each; what they expect alike differs by nothing at all."""
-    effects = (fx.ExposureTimeOffset(4e-6), fx.Prnu(0.01))
-    alone = np.stack([plain.comparison.residual(plain.predicted_with((effect,))) for effect in effects], axis=1)
-    models = [(plain.model.with_effects((effect,)), plain.nuisance) for effect in effects]
-    ((numbers, several),) = predict_several(models, plain.trace)
-    assert plain.comparison.residual(several) == pytest.approx(alone[:, numbers], abs=1e-12)
-    changes = -plain.moved_by([(effect,) for effect in effects])
-    assert changes == pytest.approx(alone - plain.plain_residual[:, None], abs=1e-9)
-    mean, spatial = (plain.comparison.cuts[name] for name in ("mean", "spatial"))
-    assert changes[mean, 0].any()
-    assert not changes[mean, 1].any()
-    assert changes[spatial, 1].any()
-
-
-def test_thresholds_and_taken_off_black_are_fitted_to_their_end(make_capture):
-    """A power of −0.02 up to 1 ms; darks without noise are none."""
+def test_thresholds_lines_and_taken_off_black_are_fitted_to_their_end(make_capture):
+    """Next to an offset each exposure has its true number of lines."""
     captured = make_capture(5, plan=LADDER * 2, exposure=lambda t: t * (min(t, 1e-3) / 1e-3) ** -0.02)
     found = converged_fit(refit(with_effects(start_of(captured), [fx.ReciprocityFailure(-0.01, 6e-4)])))
     assert (abs(found.parameters.values - (-0.02, 1e-3)) < 4.0 * uncertainty_of(found)).all()
@@ -207,10 +203,6 @@ def test_thresholds_and_taken_off_black_are_fitted_to_their_end(make_capture):
     with pytest.raises(UnfitError, match="dark_frame_subtracted"):
         included(start, fx.DarkFrameSubtracted(0.1, 0.0))
     assert [fit.effects for fit in start.models] == [()]
-
-
-def test_what_jumps_is_fitted_anew_next_to_a_further_effect(make_capture):
-    """Exposures are whole lines of 12 µs: next to an offset each has its true number of lines, which some had not."""
     captured = make_capture(5, plan=LADDER * 2, exposure=lambda t: 12e-6 * round(t / 12e-6), extra_dn=lambda s: 3.0)
     wrong = refit(with_effects(start_of(captured), [fx.ExposureQuantisation(12.012e-6, 0.5)]))
     found = included(wrong, fx.BlackLevelOffset(2.0))

@@ -25,8 +25,9 @@ def test_every_export_is_written(kind, screen, tmp_path):
         pytest.importorskip("imagecodecs")
     write_export(replace(screen, chromaticities=SRGB), kind, tmp_path / "x")
     assert (tmp_path / "x").stat().st_size > 100
+    screen.write(tmp_path / "desk.yaml")
     with pytest.raises(UsageError, match="psychopy, ti3, csv"):
-        write_export(screen, "xlsx", tmp_path / "x")
+        rm.screen_export(tmp_path / "desk.yaml", ["xlsx"])
 
 
 def test_psychopy_grid_reproduces_the_luminance_by_psychopys_own_formula(screen):

@@ -759,8 +759,8 @@ def test_a_dark_current_that_doubles_shows_by_how_many_kelvin(doubling_k):
     assert doubling_temperature([(None, 0.0, slow), (30.0, 0.0, fast)]) is None
 
 
-def test_a_dark_current_is_that_of_the_long_exposures_and_of_their_temperature():
-    """2 DN/s; the sensor warms by a kelvin: the mean of the readings by time; two exposures are the fewest."""
+def test_dark_currents_are_those_of_long_exposures_and_transfers_of_five():
+    """2 DN/s at the mean reading by time; four frames give no K."""
     plateau = [
         group(BLACK_DN + 2.0 * t, 40.0, t, dark=True, celsius=c, typical_dn=BLACK_DN + 2.0 * t - 1.0)
         for t, c in ((1.0, 20.0), (3.0, 21.0))
@@ -772,6 +772,14 @@ def test_a_dark_current_is_that_of_the_long_exposures_and_of_their_temperature()
     assert least_k == pytest.approx(0.05 / math.sqrt(12.0))
     ((unknown, _, _),) = typical_rates([plateau[0], replace(plateau[1], settings=FrameSettings(3.0, shutter="closed"))])
     assert unknown is None
+    rng = np.random.default_rng(8)
+    rates = rng.uniform(0.5, 1.5, 40_000)
+    darks = [100.0 + 0.5 * rng.poisson(rates * t + 20.0) for t in (0.0, 100.0, 200.0, 300.0, 400.0)]
+    found = dark_transfer(darks)
+    assert found.K.value == pytest.approx(0.5, abs=4.0 * found.K.u)
+    assert found.K.u < 0.05 * found.K.value
+    assert dark_transfer(darks[:4]) is None
+    assert dark_transfer([darks[0]] * 6) is None
 
 
 @pytest.mark.parametrize(("span_dn", "count", "asked"), [(1.99, 3, False), (2.0, 3, True), (50.0, 2, False)])
@@ -802,18 +810,6 @@ def test_plateaus_of_darks_that_disagree_widen_their_mean(monkeypatch):
     assert (both.value, both.u, len(transfers)) == (pytest.approx(0.55), pytest.approx(math.hypot(0.01, 0.05)), 2)
     gains[:] = [Quantity(0.5, 0.01, "DN/e-")]
     assert gain_from_darks(subject(), plateaus[0])[0].u == pytest.approx(0.01)
-
-
-def test_a_dark_transfer_needs_five_frames():
-    """Shot noise of a dark current over five exposures gives K; four frames, or one exposure, give none."""
-    rng = np.random.default_rng(8)
-    rates = rng.uniform(0.5, 1.5, 40_000)
-    darks = [100.0 + 0.5 * rng.poisson(rates * t + 20.0) for t in (0.0, 100.0, 200.0, 300.0, 400.0)]
-    found = dark_transfer(darks)
-    assert found.K.value == pytest.approx(0.5, abs=4.0 * found.K.u)
-    assert found.K.u < 0.05 * found.K.value
-    assert dark_transfer(darks[:4]) is None
-    assert dark_transfer([darks[0]] * 6) is None
 
 
 def test_a_typical_pixel_is_no_hot_one():

@@ -13,10 +13,21 @@ EXACT = np.zeros((3, 3))
 
 
 def test_the_matching_functions_are_those_of_the_standard() -> None:
-    """ȳ is V(λ); the sums over 360 nm to 830 nm at 1 nm are those of CIE 015:2018, table 10."""
+    """ȳ is V(λ), sums of CIE 015:2018; uncertainties are those of drawn lights."""
     wavelength_nm, functions = matching_functions()
     assert functions[1] == pytest.approx(np.interp(wavelength_nm, *luminous_efficiency()), abs=1e-9)
     assert functions.sum(axis=1) == pytest.approx([106.865469, 106.856917, 106.892251], abs=2e-6)
+    rng = np.random.default_rng(46_011)
+    lights = np.stack([tristimulus(spectrum(name)) for name in ("cie_d65", "led_b1", "cie_fl2")])
+    root = rng.standard_normal((3, 3)) * 0.003
+    covariance = lights[:, :, None] * (root @ root.T) * lights[:, None, :]
+    found = coordinates(lights, covariance)
+    for n, light in enumerate(lights):
+        drawn = coordinates(rng.multivariate_normal(light, covariance[n], 20_000), EXACT)
+        assert found.xy_covariance[n] == pytest.approx(np.cov(drawn.xy.T), rel=0.05)
+        assert found.uv_covariance[n] == pytest.approx(np.cov(drawn.uv_prime.T), rel=0.05)
+        assert found.u_cct_k[n] == pytest.approx(np.std(drawn.cct_k), rel=0.03)
+        assert found.u_duv[n] == pytest.approx(np.std(drawn.duv), rel=0.03)
 
 
 @pytest.mark.parametrize(
@@ -62,21 +73,6 @@ def test_a_saturated_colour_has_no_temperature(names: tuple[str, ...]) -> None:
     assert np.isnan(found.cct_k)
     assert np.isnan(found.duv)
     assert np.all(np.isfinite(found.xy))
-
-
-def test_uncertainties_are_those_of_drawn_lights() -> None:
-    """First-order propagation gives the spread of 20 000 draws, for each light of an array."""
-    rng = np.random.default_rng(46_011)
-    lights = np.stack([tristimulus(spectrum(name)) for name in ("cie_d65", "led_b1", "cie_fl2")])
-    root = rng.standard_normal((3, 3)) * 0.003
-    covariance = lights[:, :, None] * (root @ root.T) * lights[:, None, :]
-    found = coordinates(lights, covariance)
-    for n, light in enumerate(lights):
-        drawn = coordinates(rng.multivariate_normal(light, covariance[n], 20_000), EXACT)
-        assert found.xy_covariance[n] == pytest.approx(np.cov(drawn.xy.T), rel=0.05)
-        assert found.uv_covariance[n] == pytest.approx(np.cov(drawn.uv_prime.T), rel=0.05)
-        assert found.u_cct_k[n] == pytest.approx(np.std(drawn.cct_k), rel=0.03)
-        assert found.u_duv[n] == pytest.approx(np.std(drawn.duv), rel=0.03)
 
 
 def test_a_chart_states_u_of_its_lights_or_none(tmp_path: Path) -> None:

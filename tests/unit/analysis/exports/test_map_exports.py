@@ -99,8 +99,8 @@ def test_colours_keep_their_order(colour, tmp_path, ending):
 
 
 @pytest.mark.parametrize("ending", list(WRITERS))
-def test_no_header_holds_a_path_or_a_user_name(grey, tmp_path, ending):
-    """Files are handed on; they must not tell where they were made."""
+def test_files_hold_no_path_and_an_unwritable_place_is_an_error(grey, tmp_path, ending):
+    """They are handed on; an output error is no traceback."""
     path = tmp_path / f"map{ending}"
     writer_for(path)(path, MapPicture({"mono": grey}))
     content = path.read_bytes()
@@ -108,6 +108,9 @@ def test_no_header_holds_a_path_or_a_user_name(grey, tmp_path, ending):
     if len(getpass.getuser()) > 3:
         assert getpass.getuser().encode() not in content
     assert list(tmp_path.iterdir()) == [path]
+    path = tmp_path / "nowhere" / f"map{ending}"
+    with pytest.raises(OutputError, match="nowhere"):
+        writer_for(path)(path, MapPicture({"mono": grey}))
 
 
 @pytest.mark.slow
@@ -141,14 +144,6 @@ def test_luminance_scales_value_and_uncertainty(grey):
     np.testing.assert_allclose(shown.radiance, grey.radiance * 683, rtol=1e-6)
     np.testing.assert_allclose(shown.u_radiance, grey.u_radiance * 683, rtol=1e-6)
     assert shown.unit == "cd m-2"
-
-
-@pytest.mark.parametrize("ending", list(WRITERS))
-def test_an_unwritable_place_is_an_output_error(grey, tmp_path, ending):
-    """Not a traceback."""
-    path = tmp_path / "nowhere" / f"map{ending}"
-    with pytest.raises(OutputError, match="nowhere"):
-        writer_for(path)(path, MapPicture({"mono": grey}))
 
 
 @pytest.fixture

@@ -70,20 +70,40 @@ def test_dark_frames_of_another_gain_or_shorter_ones_are_not_taken_off_pixel_by_
     assert terms_with([frame(500, shutter="closed", **other)]).dark.size == 1
 
 
-def test_longer_dark_frames_differ_by_the_ratio_of_times():
-    """Pixel by pixel; what fills the frames with dark signal is refused."""
-    hot = np.full((4, 4), 120)
-    hot[1, 2] = 205
-    longer = [frame(hot, exposure_s=time_s, shutter="closed") for time_s in (4.0, 8.0)]
-    terms, even = terms_with(longer), terms_with([frame(120, exposure_s=one, shutter="closed") for one in (4.0, 8.0)])
-    assert np.ptp(terms.dark) == pytest.approx(85.0 / 4.0)
-    assert float(np.mean(terms.dark)) == pytest.approx(terms.level)
-    assert terms.dark_variance == pytest.approx(even.dark_variance)
-    assert 0.0 < terms.dark_variance < terms_with([frame(120, shutter="closed")]).dark_variance
+def test_pixels_of_longer_dark_frames_differ_by_the_ratio_of_times():
+    """80 DN more than the others in 4 s and 160 in 8 s are 20 in 1 s, and 320 in 16 s; its shot noise counts too."""
+
+    def darks(times_s):
+        hot = np.zeros((4, 4))
+        hot[1, 2] = 20.0
+        return [frame(np.rint(110 + hot * time_s), exposure_s=time_s, shutter="closed") for time_s in times_s]
+
+    for times_s in ((4.0, 8.0), (0.25, 0.5)):
+        terms = terms_with(darks(times_s))
+        assert np.ptp(terms.dark) == pytest.approx(20.0)
+        assert float(np.mean(terms.dark)) == pytest.approx(terms.level)
+        assert terms.dark_variance == 0.0  # the others do not differ
+        noise = terms_with([frame(110, shutter="closed")]).dark_variance
+        squares = sum(time_s**2 for time_s in times_s)
+        shot = 20.0 / GAIN_E * sum(time_s**3 for time_s in times_s) / squares**2
+        assert shot < float(terms.variance_hot.max()) <= shot + noise / squares
+        assert np.count_nonzero(terms.variance_hot) == 1
     full = np.full((12, 16), FULL_SCALE, np.uint16)
     both = [Frame(full, 12, FrameSettings(10.0, shutter=one)) for one in ("closed", "open")]
     with pytest.raises(MeasurementError, match="dark signal"):
         merged(both)
+
+
+def test_pixels_that_fill_up_in_every_dark_frame_are_filled_from_their_neighbours():
+    """A pixel at full scale after 8 s has an unknown dark signal after 1 s: marked, and counted in a note."""
+    full = np.full((6, 6), 110)
+    full[2, 3] = 4095
+    seen = np.full((6, 6), 1110)
+    seen[2, 3] = 3000
+    found = merge([frame(full, exposure_s=8.0, shutter="closed"), frame(seen)], Setup(CAMERA, LENS, CALIBRATION))
+    assert found.mask[2, 3] & PixelMask.DEFECTIVE
+    assert np.ptp(found.radiance) == pytest.approx(0.0, abs=1e-3 * float(found.radiance.max()))
+    assert any("1 pixels fill up" in line for line in found.provenance.assumptions)
 
 
 def test_noise_reaches_to_two_sigma_and_disagreement_from_a_seventh_on():
@@ -177,8 +197,8 @@ def behind_a_curve(u=1e-6, valid=(2, 254), read_e=0.01):
 
 
 @pytest.mark.parametrize("gain_db", [0.0, 12.0])
-def test_rounding_behind_a_curve_is_the_scatter_that_u_states(gain_db):
-    """Over 10 000 pixels between two and three thousandths of each other the errors are as large as u says."""
+def test_noise_of_frames_is_that_of_reading_darkness_and_rounding(gain_db):
+    """Behind a curve its scatter is what u states."""
     camera, calibration = behind_a_curve()
     gain = 10.0 ** (gain_db / 20.0)
     truth = np.linspace(20.0, 60.0, 10_000).reshape(100, 100) / gain
@@ -187,6 +207,15 @@ def test_rounding_behind_a_curve_is_the_scatter_that_u_states(gain_db):
     unit = np.median(found.radiance / truth)
     pull = (found.radiance / unit - truth) / (found.u_radiance / unit)
     assert np.sqrt(np.mean(pull**2)) == pytest.approx(1.0, abs=0.05)
+    noise = replace(NOISE, dark_current_e_per_s=30.0)
+    situation = situation_of(Setup(CAMERA, LENS, replace(CALIBRATION, noise=noise)))
+    terms = frame_terms(FrameSettings(2.0, gain_db=gain_db), situation, (), through_lens=False)
+    assert terms.gain == pytest.approx(gain)
+    assert terms.variance == pytest.approx((25.0 + 60.0) / 2.5**2 + 1.0 / 12.0 / gain**2)
+    assert terms.exposure == 2.0
+    assert terms.dark.tolist() == pytest.approx([24.0])  # 60 electrons, which light no longer has room for
+    if not gain_db:
+        assert terms.clips_at == pytest.approx(FULL_SCALE - 0.5 - BLACK - 24.0)
 
 
 def test_white_and_black_behind_a_curve_are_distinguished_and_marked():
@@ -526,21 +555,6 @@ def test_u_falls_by_the_root_of_the_frames(seed, count):
     assert any("no exposure counts twice" in line for line in copies.provenance.assumptions) == (count > 1)
 
 
-@pytest.mark.parametrize("gain_db", [0.0, 12.0])
-def test_the_variance_of_a_frame_is_read_noise_dark_noise_and_rounding(gain_db):
-    """c of x in DN at 0 dB: (σ_d² + dark)/K'² + 1/(12·G²); each term is there once, with its sign."""
-    noise = replace(NOISE, dark_current_e_per_s=30.0)
-    situation = situation_of(Setup(CAMERA, LENS, replace(CALIBRATION, noise=noise)))
-    terms = frame_terms(FrameSettings(2.0, gain_db=gain_db), situation, (), through_lens=False)
-    gain = 10.0 ** (gain_db / 20.0)
-    assert terms.gain == pytest.approx(gain)
-    assert terms.variance == pytest.approx((25.0 + 60.0) / 2.5**2 + 1.0 / 12.0 / gain**2)
-    assert terms.exposure == 2.0
-    assert terms.dark.tolist() == pytest.approx([24.0])  # 60 electrons, which light no longer has room for
-    if not gain_db:
-        assert terms.clips_at == pytest.approx(FULL_SCALE - 0.5 - BLACK - 24.0)
-
-
 def test_a_frame_clips_at_full_scale_and_starts_above_black():
     """The last number used is full scale less one; the first is 0 where black stands clear of the noise, else 1."""
     situation = situation_of(Setup(CAMERA, LENS, CALIBRATION))
@@ -861,13 +875,22 @@ def test_the_estimate_is_the_likeliest_and_its_variance_the_curvature(rate, vari
     assert not contradiction
 
 
-def test_shot_noise_makes_a_clipped_frame_say_less():
-    """Noise that grows with the light, κ·x·t next to the rest: the same as that noise stated beforehand."""
+def test_clipped_and_noiseless_frames_are_heard_in_numbers():
+    """Shot noise as if stated beforehand; none in the dark, or behind a curve."""
     plain = FRAMES[1:2].copy()
     found = with_censored(104.0, 4.0, np.uint64(0), FRAMES, 1, 2, 0.8)
     plain[0, 5] += 0.8 * 2.0 * found[0]
     assert found[:2] == pytest.approx(with_censored(104.0, 4.0, np.uint64(0), plain, 0, 1, 0.0)[:2], rel=2e-3)
     assert found[0] < with_censored(104.0, 4.0, np.uint64(0), FRAMES, 1, 2, 0.0)[0]
+    frames = np.array([frame_row(1.0, 0.0, 40.0), frame_row(4.0, 0.0, 40.0)])
+    for rate in (-0.3, 0.0):
+        found = with_censored(rate, 0.2, np.uint64(0b01), frames, 0, 2, 0.3)
+        assert found == (rate, pytest.approx(0.2, rel=1e-12), False)
+    frames = np.array([frame_row(1.0, 0.0, 4.6), frame_row(1e4, 0.0, 4.6, at_clipping=1.7e-4)])
+    value, variance, contradiction = with_censored(-2e-3, 1e-6, np.uint64(0b01), frames, 0, 2, 4e-7)
+    assert -2e-3 < value < 4.6e-4 + 2e-3
+    assert 0.0 < variance < 1e-6
+    assert not contradiction
 
 
 @pytest.mark.parametrize(("clips_at", "heard"), [(120.0, False), (208.0, True)])
@@ -886,19 +909,6 @@ def test_a_frame_that_clips_far_below_its_level_contradicts(rate, contradicts):
     found, _, text = with_censored(rate, 1.0, np.uint64(0), FRAMES, 1, 2, 0.0)
     assert text is contradicts
     assert (found == rate) is (rate < 50.0)
-
-
-def test_values_without_noise_are_numbers():
-    """No read noise and no light: a frame far above contradicts or says nothing, also behind a curve."""
-    frames = np.array([frame_row(1.0, 0.0, 40.0), frame_row(4.0, 0.0, 40.0)])
-    for rate in (-0.3, 0.0):
-        found = with_censored(rate, 0.2, np.uint64(0b01), frames, 0, 2, 0.3)
-        assert found == (rate, pytest.approx(0.2, rel=1e-12), False)
-    frames = np.array([frame_row(1.0, 0.0, 4.6), frame_row(1e4, 0.0, 4.6, at_clipping=1.7e-4)])
-    value, variance, contradiction = with_censored(-2e-3, 1e-6, np.uint64(0b01), frames, 0, 2, 4e-7)
-    assert -2e-3 < value < 4.6e-4 + 2e-3
-    assert 0.0 < variance < 1e-6
-    assert not contradiction
 
 
 # Photographs from the hand: how they lie to each other, and what becomes of their values.

@@ -644,19 +644,14 @@ def test_u_holds_what_displaced_frames_are_off_at_gradients():
     assert relative_shift(slope, np.zeros_like(slope), 0.5)[4, 1:-1] == pytest.approx(0.05, rel=1e-4)
 
 
-def test_displaced_frames_do_not_contradict_each_other():
-    """Frames displaced by a third of a pixel disagree far beyond their noise, and no pixel is taken for a ghost."""
+def test_displacement_explains_what_it_can_and_leaves_ghosts():
+    """Displaced frames do not contradict; what is left is as sure as its neighbours, or moved."""
     bracket = _bracket(np.random.default_rng(3), [0.3, -0.3, 0.3, -0.3])
     plain = merge(bracket, SETUP, without_ghosts=True)
     known = merge(bracket, SETUP, without_ghosts=True, displacement_px=0.3)
     doubt = PixelMask.MOVED | PixelMask.INCONSISTENT
     assert np.mean(plain.mask[:, 72:124] & doubt > 0) > 0.2
     assert np.mean(known.mask & doubt > 0) < 0.005
-
-
-def test_what_displacement_explains_is_as_sure_as_its_neighbours():
-    """A pixel whose frames disagree within noise and displacement has the u of those next to it in its column."""
-    bracket = _bracket(np.random.default_rng(3), [0.3, -0.3, 0.3, -0.3])
     plain = merge(bracket, SETUP)
     known = merge(bracket, SETUP, displacement_px=0.3)
     excused = (plain.mask & ~known.mask & PixelMask.INCONSISTENT) > 0
@@ -666,10 +661,6 @@ def test_what_displacement_explains_is_as_sure_as_its_neighbours():
     assert len(ratios) > 10
     assert min(ratios) > 0.98
     assert max(ratios) < 1.1
-
-
-def test_what_displacement_does_not_explain_stays_a_ghost():
-    """A lamp that one frame alone shows is left out of it as before."""
     frames = list(_bracket(np.random.default_rng(4), np.zeros(4)).light)
     lit = frames[1].dn.copy()
     lit[40:50, 20:30] = 3000

@@ -121,12 +121,19 @@ def test_a_band_has_its_width_at_half_maximum(peak, width):
     assert found == pytest.approx([0.5, 1.0, 0.5], abs=2e-3)
 
 
-def test_what_iso_2720_leaves_open():
-    """A rectangle from 10.6 to 13.4 about 12: 6.74 %; with the meter's sixth of a stop 9.5 %."""
+def test_the_meter_of_iso_2720_and_the_worked_example_of_the_thesis():
+    """K from 10.6 to 13.4 is 6.74 %; 16.5 at f/16, 1/125 s, ISO 136."""
     low, high = cie.ISO_2720_K
     assert pytest.approx((high - low) / (high + low) / math.sqrt(3)) == calibrate.K_UNKNOWN_U_REL
     assert calibrate.metered_u_rel(None) == pytest.approx(math.hypot(math.log(2) / 6 / math.sqrt(3), 0.06736), rel=1e-3)
     assert calibrate.metered_u_rel(0.03) == pytest.approx(math.hypot(math.log(2) / 6 / math.sqrt(3), 0.03))
+    found = calibrate.metered_luminance_cd_m2(thesis.MEAN_METER_CONSTANT, REFERENCE)
+    assert round(found, 4) == thesis.REFERENCE_LUMINANCE
+    # The printed figure is the result cut, not rounded, after the fourth decimal.
+    assert math.floor(photometry.radiance_thesis_w_sr_m2_um(found) * 1e4) / 1e4 == thesis.REFERENCE_SPECTRAL_RADIANCE
+    exposure = calibrate.reference_exposure_j_m2(thesis.REFERENCE_SPECTRAL_RADIANCE, REFERENCE)
+    assert round(math.log(exposure), 4) == thesis.REFERENCE_LOG_EXPOSURE  # the thesis has the exponential of that
+    assert f"{math.exp(round(math.log(exposure), 4)):.5e}" == f"{thesis.REFERENCE_EXPOSURE_J_M2:.5e}"
 
 
 @given(positive, st.floats(0.001, 0.2), st.floats(0.0, 0.1), positive)
@@ -225,17 +232,6 @@ def test_luminances_by_the_meter_constants_of_the_thesis(row, exact_k, is_exact)
     settings = MeterSettings(exposure_s, f_number, thesis.MEASURED_ISO)
     found = calibrate.metered_luminance_cd_m2(*((exact_k, settings.exact()) if is_exact else (printed_k, settings)))
     assert found == pytest.approx(luminance, rel=5e-6)
-
-
-def test_the_worked_example_of_the_thesis():
-    """K = 16.5, f/16, 1/125 s, ISO 136: luminance; by equation (2.10) radiance per µm; ln H = −6.6406; a pixel's H."""
-    found = calibrate.metered_luminance_cd_m2(thesis.MEAN_METER_CONSTANT, REFERENCE)
-    assert round(found, 4) == thesis.REFERENCE_LUMINANCE
-    # The printed figure is the result cut, not rounded, after the fourth decimal.
-    assert math.floor(photometry.radiance_thesis_w_sr_m2_um(found) * 1e4) / 1e4 == thesis.REFERENCE_SPECTRAL_RADIANCE
-    exposure = calibrate.reference_exposure_j_m2(thesis.REFERENCE_SPECTRAL_RADIANCE, REFERENCE)
-    assert round(math.log(exposure), 4) == thesis.REFERENCE_LOG_EXPOSURE  # the thesis has the exponential of that
-    assert f"{math.exp(round(math.log(exposure), 4)):.5e}" == f"{thesis.REFERENCE_EXPOSURE_J_M2:.5e}"
 
 
 def test_the_thesis_has_the_gaussian_s_area_and_radiance_per_micrometre():
@@ -399,13 +395,21 @@ def test_a_scale_from_one_quantity_doubts_the_other(rig, quantity, other):
     assert quantity == "radiance" or "spectrum_assumed" in found.flags
 
 
-def test_a_camera_of_unknown_response_doubts_another_spectrum(rig):
-    """Calibrated at 500 nm and read at 600 nm: a flat photon counter is high by 1.2, others by more or less."""
+def test_unknown_responses_doubt_another_spectrum_unless_stated(rig):
+    """The figure that somebody states stands in place of all kinds."""
     found = reading(rig, "radiance", ("line:500", "line:600"))
     line = next(one.u_rel for one in found.budget if one.name == "spectral assumption")
     bells = [2.0 ** (((600 - peak) / 150) ** 2 - ((500 - peak) / 150) ** 2) / 1.2 - 1.0 for peak in (500, 550, 600)]
     assert line == pytest.approx(math.sqrt(np.mean(np.square([1.0 / 1.2 - 1.0, *bells]))), rel=1e-6)
     assert unknown_mismatch_u_rel("white_led", "white_led") == pytest.approx(0.0, abs=1e-12)
+    stated = StatedUncertainties(spectral_u_rel=0.05)
+    found = unstated(rig, rig.calibration(spectrum="white_led", uncertainties=stated))
+    assert spectral_line(found).u_rel == pytest.approx(0.05)
+    assert spectral_line(found).note.endswith("as stated")
+    assert "spectrum_assumed" in found.flags
+    base = rig.calibration(spectrum="white_led")
+    relative = replace(base, scale=base.scale.model_copy(update={"method": "relative"}))
+    assert spectral_u_rel(relative, StatedUncertainties(), spectrum_stated=False) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -488,18 +492,6 @@ def test_unknown_light_is_doubted_by_what_the_camera_counts():
     assert unstated_light_u_rel("white_led", FLAT, "photopic") == pytest.approx(expected, rel=1e-3)
     short = SpectralResponse(wavelength_nm=(300.0, 400.0), relative=(1.0, 1.0))
     assert unstated_light_u_rel("line:600", short) == unstated_light_u_rel("line:600", None)
-
-
-def test_stated_spectral_figures_take_the_place_of_all_kinds(rig):
-    """The flag stays; relative readings have no spectrum."""
-    stated = StatedUncertainties(spectral_u_rel=0.05)
-    found = unstated(rig, rig.calibration(spectrum="white_led", uncertainties=stated))
-    assert spectral_line(found).u_rel == pytest.approx(0.05)
-    assert spectral_line(found).note.endswith("as stated")
-    assert "spectrum_assumed" in found.flags
-    base = rig.calibration(spectrum="white_led")
-    relative = replace(base, scale=base.scale.model_copy(update={"method": "relative"}))
-    assert spectral_u_rel(relative, StatedUncertainties(), spectrum_stated=False) == 0.0
 
 
 # What the table of a light, or of a receptor, does not state is in the uncertainty, or refused.

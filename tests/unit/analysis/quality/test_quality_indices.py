@@ -77,15 +77,11 @@ def test_linearity_follows_the_bend(tmp_path):
     assert figure.value == max(abs(one.value) for one in figure.details)
 
 
-def test_veiling_glare_index_is_the_share_times_the_white_left(tmp_path):
-    """A black patch of 50 × 50 pixels takes its own light out of the veil that lies on it."""
+def test_glare_and_size_of_source_are_shares_of_the_veil(tmp_path):
+    """The white that is left of a black patch; the ring between two discs."""
     stations.veiled(tmp_path, 4, share=0.012)
     white_left = 1.0 - 50 * 50 / (stations.WIDTH * stations.HEIGHT)
     assert held(figure_of(tmp_path, "glare"), 0.012 * white_left)
-
-
-def test_size_of_source_is_the_veil_that_a_larger_source_adds(tmp_path):
-    """The smallest disc reads less than the largest by the glare of the ring between them."""
     stations.sized(tmp_path, 4, share=0.02)
     rows, columns = np.mgrid[: stations.HEIGHT, : stations.WIDTH]
     away = np.hypot(rows - 79.5, columns - 99.5)

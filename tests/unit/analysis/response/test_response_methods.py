@@ -58,8 +58,8 @@ def test_method_gives_the_response_back(make_stack, inner_error, method, respons
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_the_residual_is_that_of_the_frames(method):
-    """Pixels scatter by 3 % and 16 are averaged: residuals in ln H are 0.75 %, of two frames √2 times that."""
+def test_residuals_are_those_of_the_frames_and_one_exposure_is_none(method, make_stack):
+    """0.75 % in ln H, √2 times that of two frames; white frames are refused."""
     rng = np.random.default_rng(11)
     light = 200.0 * np.geomspace(0.08, 1.0, 96)[None, :]
     frames = []
@@ -68,11 +68,6 @@ def test_the_residual_is_that_of_the_frames(method):
         frames.append(Frame(np.rint(dn).astype(np.uint8), 8, FrameSettings(time_s, black_level_dn=4.0)))
     found = METHODS[method]([Bracket.from_frames(frames)])
     assert 0.004 < found.residual_rms_log < 0.02  # rounding of dim numbers adds some
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_method_refuses_one_exposure_and_saturated_frames(make_stack, method):
-    """No method makes a curve of one exposure, or of white frames."""
     frame = make_stack("linear").light[4]
     with pytest.raises(InputError, match="one exposure only"):
         METHODS[method]([Bracket.from_frames([frame, frame])])
@@ -97,8 +92,8 @@ def test_mitsunaga_recovers_ratios_from_one(make_stack, kind, bit_depth):
     assert np.all(np.abs(error) < 4.0 * estimate.u_exposure_ratios[unknown])
 
 
-def test_mitsunaga_follows_a_film_with_a_long_toe(make_stack, true_log_exposure):
-    """A polynomial may make all frames agree by being flat: this one spans the exposures, and its u holds the error."""
+def test_a_polynomial_spans_the_exposures_of_a_long_toe(make_stack, true_log_exposure, monkeypatch):
+    """A flat one makes all frames agree: it is refused, and u holds the error."""
     estimate = recover_response_mitsunaga1999(make_stack("toe", bit_depth=8))
     inner = slice(13, 243)
     error = estimate.curve.log_exposure[inner] - true_log_exposure("toe", 8)[inner]
@@ -107,6 +102,11 @@ def test_mitsunaga_follows_a_film_with_a_long_toe(make_stack, true_log_exposure)
     assert np.std(error) < 0.02
     assert np.std(error) < 2.0 * np.median(estimate.curve.u_log_exposure[inner])
     assert estimate.stability.rms_log < 0.01
+    from radiometer.analysis.response.mitsunaga1999 import Polynomial
+
+    monkeypatch.setattr(Polynomial, "log_curve", lambda self: np.zeros(256))
+    with pytest.raises(MeasurementError, match="mitsunaga1999 finds no response"):
+        recover_response_mitsunaga1999(make_stack("gamma", bit_depth=8))
 
 
 @pytest.mark.parametrize("method", ["auto", "debevec1997"])
@@ -137,15 +137,6 @@ def test_linear_spline_finds_black_and_owns_up_to_kinks(make_stack, inner_error)
     away = np.arange(13, 13 + error.size) != 128
     # The finer curve that stands for the truth is itself off by a part of that error: twice it at most.
     assert 0.2 < np.mean((error[away] / u[away]) ** 2) < 2.0
-
-
-def test_a_polynomial_that_explains_nothing_is_refused(make_stack, monkeypatch):
-    """A curve that is flat makes all frames agree, with u near 0: that is an error, not a response."""
-    from radiometer.analysis.response.mitsunaga1999 import Polynomial
-
-    monkeypatch.setattr(Polynomial, "log_curve", lambda self: np.zeros(256))
-    with pytest.raises(MeasurementError, match="mitsunaga1999 finds no response"):
-        recover_response_mitsunaga1999(make_stack("gamma", bit_depth=8))
 
 
 @pytest.mark.parametrize(
@@ -313,13 +304,20 @@ def fit(samples, **how):
     return fit_response(samples, samples.dn, variance, time_spread=0.0, smoothing=1e3, **how)  # type: ignore[arg-type]
 
 
-def test_the_variance_of_every_value_is_its_quadratic_form():
-    """At each digital number that of the basis values there, four of which are not zero."""
+def test_variances_are_quadratic_forms_and_bear_rounding():
+    """Of the basis values; an eigenvalue a little below zero changes no uncertainty."""
     basis = ValueBasis(10, ValueLimits(20, 1000))
     root = np.random.default_rng(3).normal(size=(basis.size, basis.size))
     every = basis.all_values().toarray()
     expected = np.einsum("ni,ij,nj->n", every, root @ root.T, every)
     assert basis.variances(root @ root.T) == pytest.approx(expected, rel=1e-12)
+    samples = rows_of()
+    off = fit(replace(samples, log_time=samples.log_time + SIGMA * (samples.frame == 2)))
+    values, vectors = np.linalg.eigh(off.inverse)
+    rounded = off.inverse - 1.001 * values[0] * np.outer(vectors[:, 0], vectors[:, 0])
+    assert np.linalg.eigvalsh(rounded)[0] < 0.0
+    expected, found = (one.frame_covariance(samples.frame) for one in (off, replace(off, inverse=rounded)))
+    assert np.diag(found) == relatively(np.diag(expected), rel=0.02)
 
 
 def test_uncertainty_of_frames_is_the_scatter_that_their_errors_make():
@@ -339,17 +337,6 @@ def test_uncertainty_of_frames_is_the_scatter_that_their_errors_make():
         by_groups += np.diag(at @ one.covariance() @ at.T)
     assert by_frames / true == pytest.approx(np.ones(3), abs=0.12)
     assert np.max(np.abs(np.log(by_groups / true))) > 1.0
-
-
-def test_uncertainty_of_frames_stands_rounding_of_the_inverse():
-    """A smallest eigenvalue that rounding leaves a little below zero changes no uncertainty."""
-    samples = rows_of()
-    off = fit(replace(samples, log_time=samples.log_time + SIGMA * (samples.frame == 2)))
-    values, vectors = np.linalg.eigh(off.inverse)
-    rounded = off.inverse - 1.001 * values[0] * np.outer(vectors[:, 0], vectors[:, 0])
-    assert np.linalg.eigvalsh(rounded)[0] < 0.0
-    expected, found = (one.frame_covariance(samples.frame) for one in (off, replace(off, inverse=rounded)))
-    assert np.diag(found) == relatively(np.diag(expected), rel=0.02)
 
 
 def test_labels_are_weighed_by_what_is_known_of_them():
@@ -498,8 +485,8 @@ def test_a_curve_at_given_labels_is_the_fit_with_these_labels_held(lying):
 
 
 @pytest.mark.slow
-def test_shares_are_judged_as_quadrants_are(lying):
-    """What is left out is cut in another way; of two planes alike the errors and the rows are twice those of one."""
+def test_shares_are_judged_as_quadrants_and_give_one_label(lying):
+    """Of two planes alike errors and rows are twice those of one; estimates hold the label."""
     plane = lying[0]
     fitted = settle(plane.samples, plane.start)
     left_out = LeftOut.of([plane], without_shares([plane], JointFit.of([fitted])))
@@ -512,6 +499,13 @@ def test_shares_are_judged_as_quadrants_are(lying):
     both = LeftOut.of([plane, plane], without_shares([plane, plane], JointFit.of([fitted, fitted])))
     assert both.rows == pytest.approx(2.0 * left_out.rows)
     assert both.error_dn == pytest.approx(2.0 * left_out.error_dn)
+    estimates = solve_colours_auto([plane.samples for plane in lying])
+    (together,) = find_wrong_labels(lying)
+    for estimate in estimates:
+        (label,) = estimate.details["wrong_labels"]
+        assert (label["frame"], label["ratio"]) == (together.frame, pytest.approx(together.ratio))
+        found = np.exp(estimate.details["log_time_errors"][3])
+        assert found == pytest.approx(together.ratio, abs=together.u_ratio)
 
 
 def test_errors_are_counted_by_rows_and_without_each_share_that_shows_the_frame():
@@ -522,18 +516,6 @@ def test_errors_are_counted_by_rows_and_without_each_share_that_shows_the_frame(
     assert left_out.mean_dn(1, 0) == pytest.approx(16.0 / 10.0)
     assert left_out.means_without_one_dn(0) == pytest.approx([5.0 / 4.0, 7.0 / 5.0, 6.0 / 3.0])
     assert left_out.means_without_one_dn(1) == pytest.approx([1.0, 2.0])
-
-
-@pytest.mark.slow
-def test_estimates_of_colours_take_the_label_found_together(lying):
-    """Each colour's curve comes with the same wrong label, and with the exposure that all of them tell."""
-    estimates = solve_colours_auto([plane.samples for plane in lying])
-    (together,) = find_wrong_labels(lying)
-    for estimate in estimates:
-        (label,) = estimate.details["wrong_labels"]
-        assert (label["frame"], label["ratio"]) == (together.frame, pytest.approx(together.ratio))
-        found = np.exp(estimate.details["log_time_errors"][3])
-        assert found == pytest.approx(together.ratio, abs=together.u_ratio)
 
 
 @pytest.mark.parametrize("gamma", [0.55, 0.7])
@@ -767,8 +749,8 @@ def test_a_finished_curve_never_falls_and_owns_up_to_its_ends(seed, low, high):
     assert np.array_equal(whole[inside], curve.u_log_exposure[inside])
 
 
-def test_curves_fall_to_black_and_are_inverted_there():
-    """H ∝ (M − 13)^0.5 goes on outside the data as itself; less light than the curve knows is 13 DN."""
+def test_curves_fall_to_their_black_and_keep_it():
+    """H ∝ (M − 13)^0.5 outside the data; black is what the curve was made with, 0 where none is stated."""
     signal = np.maximum(np.arange(256.0) - 13.0, 0.5)
     g = 0.5 * np.log(signal)
     damaged = np.where((np.arange(256) < 20) | (np.arange(256) > 240), 7.0, g)
@@ -776,6 +758,12 @@ def test_curves_fall_to_black_and_are_inverted_there():
     g = 0.5 * np.log(np.maximum(np.arange(256.0) - 13.0, 0.5))
     assert dn_at(g, np.array([-50.0, g[13], g[100], 50.0])) == pytest.approx([13.0, 13.0, 100.0, 255.0])
     assert dn_at(np.arange(256.0), np.array([-5.0, 3.25])) == pytest.approx([0.0, 3.25])
+    g, u = np.log(np.arange(256) + 1.0), np.full(256, 0.01)
+    for fog in (14.0, 0.5, 0.0):
+        assert black_of_curve(finished_curve(g, u, (20, 250), method="m", channel="mono", black_dn=fog)) == fog
+    for text in ("14", None, [14.0]):
+        assert black_of_curve(ResponseCurve(g, u, provenance=Provenance("m", parameters={"black_dn": text}))) == 0.0
+    assert black_of_curve(ResponseCurve(g, u)) == 0.0
 
 
 def test_ends_and_middle_are_supported_by_data():
@@ -795,16 +783,6 @@ def test_ends_and_middle_are_supported_by_data():
     assert np.all(np.isinf(curve.u_log_exposure[241:]))
     rising_there = finished_curve(np.log(dn + 1.0), u, (5, 250), method="m", channel="mono")
     assert rising_there.valid_dn == (5, 250)
-
-
-def test_the_fog_of_frames_stays_with_their_curve():
-    """Black is what the curve was made with, 0 where no frame showed any or a file holds no number."""
-    g, u = np.log(np.arange(256) + 1.0), np.full(256, 0.01)
-    for fog in (14.0, 0.5, 0.0):
-        assert black_of_curve(finished_curve(g, u, (20, 250), method="m", channel="mono", black_dn=fog)) == fog
-    for text in ("14", None, [14.0]):
-        assert black_of_curve(ResponseCurve(g, u, provenance=Provenance("m", parameters={"black_dn": text}))) == 0.0
-    assert black_of_curve(ResponseCurve(g, u)) == 0.0
 
 
 def test_figures_of_the_diagnostics():

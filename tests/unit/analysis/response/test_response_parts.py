@@ -33,8 +33,8 @@ from radiometer.errors import InputError, MeasurementError, UsageError
 from radiometer.statistics.scale import jackknife_u
 
 
-def test_saturation_and_noisy_white_are_found(make_stack):
-    """A sensor that stops at 3500 DN; noise of 0.6 DN behind the clipping to 5 %."""
+def test_limits_are_where_values_gather_or_stand_still(make_stack):
+    """3500 DN of a sensor, noise behind the clipping, fog at 15 and a knee at 240."""
     frames = [Frame(np.minimum(f.dn, 3500), 12, f.settings) for f in make_stack("linear").light]
     assert find_limits([Bracket.from_frames(frames)]).saturated_dn == 3500
     bracket = _noisy_behind_the_clipping(0.6)
@@ -42,6 +42,14 @@ def test_saturation_and_noisy_white_are_found(make_stack):
     g = np.log(np.maximum(np.arange(256) / 255.0 + 0.01, 1e-9))
     curve = ResponseCurve(g, np.zeros(256), valid_dn=(limits.black_dn + 3, limits.saturated_dn - 1))
     assert find_displacement(bracket, curve).noise.digital == pytest.approx(0.36, rel=0.1)
+    limits = find_limits([_film(np.random.default_rng(3), 15, 240, 2.0 ** np.arange(-14, 16, 2))])
+    assert limits.black_dn == pytest.approx(15, abs=1)
+    assert 235 <= limits.saturated_dn <= 240
+    moving = find_limits([_film(np.random.default_rng(3), 15, 240, 2.0 ** np.arange(-2, 4))])
+    assert (moving.black_dn, moving.saturated_dn) == (0, 255)
+    shown = [find_limits([Bracket.from_frames(frames_of_black((1.0, 2.0), black))]).black_dn for black in (None, 2.5)]
+    assert shown[0] < 3
+    assert shown[1] == 3
 
 
 def _noisy_behind_the_clipping(sigma_dn, seed=5):
@@ -63,8 +71,8 @@ def test_noise_behind_the_clipping_is_black_and_white_with_it(sigma_dn, black_dn
     assert (limits.black_dn, limits.saturated_dn) == (black_dn, saturated_dn)
 
 
-def test_every_pixel_counts_once_per_frame_where_it_does_not_clip(make_stack):
-    """Groups hold all pixels, no row of a frame in which one clips, and double from frame to frame as exposures do."""
+def test_pixels_count_once_per_frame_that_agrees_and_does_not_clip(make_stack):
+    """What moved enters no group; groups double as exposures do."""
     samples = gather_samples(make_stack("linear"))
     assert samples.pixel_count == 192 * 256
     assert samples.dn.max() < samples.limits.saturated_dn
@@ -74,10 +82,6 @@ def test_every_pixel_counts_once_per_frame_where_it_does_not_clip(make_stack):
     follows = (np.diff(samples.group) == 0) & (np.diff(samples.frame) == 1) & (samples.dn[:-1] > 200)
     ratio = (samples.dn[1:] / samples.dn[:-1])[follows]
     assert np.average(ratio, weights=samples.pixels[:-1][follows]) == pytest.approx(2.0, rel=0.005)
-
-
-def test_pixels_that_contradict_their_exposure_are_left_out(make_stack):
-    """A region that turns black in one longer exposure (something moved) does not enter any group."""
     frames = list(make_stack("gamma", bit_depth=8).light)
     moved = np.array(frames[5].dn)
     moved[:40, :40] = 0
@@ -87,8 +91,8 @@ def test_pixels_that_contradict_their_exposure_are_left_out(make_stack):
     assert lost[0] - lost[1] >= 0.8 * np.sum(np.array(frames[5].dn)[:40, :40] < 250)
 
 
-def test_noise_parameters_are_found_again():
-    """Shot and read noise put into residuals come out within 10 % (4000 rows: 2 % in theory)."""
+def test_noise_parameters_are_found_again_as_electrons():
+    """Within 10 % of 4000 rows; shot 1/4000 at H = 1 is 4000 e⁻ there."""
     rng = np.random.default_rng(4)
     g = rng.uniform(-5.0, 0.7, 4000)
     slope = np.exp(-g) / 2000.0
@@ -98,6 +102,15 @@ def test_noise_parameters_are_found_again():
     found = fit_log_noise(residual, np.zeros(4000), g, slope, pixels)
     expected = truth.variance(g, slope, pixels)
     assert found.variance(g, slope, pixels) == pytest.approx(expected, rel=0.1)
+    g = np.log(np.maximum(np.arange(256.0) - 16.0, 0.5) / 112.0)
+    noise = LogNoise(1.0 / 4000.0, (10.0 / 4000.0) ** 2, 0.3, 0.0)
+    found = sensor_noise(noise, curve(g, valid=(20, 240)), 16.0)
+    assert found.full_well_e == pytest.approx(4000.0 * 224.0 / 112.0)
+    assert found.read_noise_e == pytest.approx(10.0)
+    assert found.conversion_gain_e_per_dn == pytest.approx(4000.0 / 112.0)
+    assert found.post_curve_dn2 == 0.3
+    endless = sensor_noise(replace(noise, shot=0.0), curve(g, valid=(20, 240)), 16.0)
+    assert endless.full_well_e == pytest.approx(1e7)
 
 
 def _film(rng, fog, knee, times):
@@ -109,18 +122,6 @@ def _film(rng, fog, knee, times):
         stored = np.clip(np.round(dn + rng.normal(0.0, 0.7, radiance.shape)), 0, 255).astype(np.uint8)
         frames.append(Frame(stored, 8, FrameSettings(float(time))))
     return Bracket.from_frames(frames)
-
-
-def test_fog_knee_and_stated_black_are_black():
-    """Values that stand still at 15 and 240; a fraction counts up."""
-    limits = find_limits([_film(np.random.default_rng(3), 15, 240, 2.0 ** np.arange(-14, 16, 2))])
-    assert limits.black_dn == pytest.approx(15, abs=1)
-    assert 235 <= limits.saturated_dn <= 240
-    moving = find_limits([_film(np.random.default_rng(3), 15, 240, 2.0 ** np.arange(-2, 4))])
-    assert (moving.black_dn, moving.saturated_dn) == (0, 255)
-    shown = [find_limits([Bracket.from_frames(frames_of_black((1.0, 2.0), black))]).black_dn for black in (None, 2.5)]
-    assert shown[0] < 3
-    assert shown[1] == 3
 
 
 def test_samples_without_a_quadrant_lack_its_pixels():
@@ -200,8 +201,8 @@ def curve(g, u=0.01, valid=(10, 240)):
     return ResponseCurve(np.asarray(g, dtype=float), np.full(len(g), u), valid_dn=valid)
 
 
-def test_pairs_are_of_frames_that_follow_and_clear_of_black(samples):
-    """Each row is in both frames of its pair, more than 2 % of full scale above black in the shorter one."""
+def test_pairs_are_clear_of_black_and_brought_to_what_is_known(samples):
+    """More than 2 % of full scale above it; γ is one factor on all ratios."""
     pairs = Pairs.of(samples, LINE)
     assert pairs.frames.tolist() == [0, 1, 2]
     assert pairs.nominal_log_ratio == pytest.approx([math.log(2.0)] * 3)
@@ -214,11 +215,6 @@ def test_pairs_are_of_frames_that_follow_and_clear_of_black(samples):
     half = pairs.part(pairs.group % 2 == 0)
     assert set((half.group % 2).tolist()) == {0}
     assert half.sigma.size == half.shorter.size == half.longer.size == half.pair.size
-
-
-def test_a_gauge_brings_ratios_to_what_is_known_of_them(samples):
-    """The sum of all stated ones, or those that are held; γ is one factor on all; 1 is no ratio, nor one of no pair."""
-    pairs = Pairs.of(samples, LINE)
     stated = Gauge.of(pairs, None)
     wrong = 1.3 * pairs.nominal_log_ratio
     assert stated.exponent(wrong) * wrong == pytest.approx(pairs.nominal_log_ratio)
@@ -274,19 +270,6 @@ def test_a_region_is_a_fifth_away_in_ln_exposure_at_least(dn, taken):
     for time_s in (0.0, math.inf, -1.0):
         with pytest.raises(InputError, match="must be above 0"):
             dynamic_range(curve(LINE), [replace(point, exposure_s=time_s)], 1.0, 128.0)
-
-
-def test_noise_of_a_pixel_is_that_of_electrons_above_black():
-    """shot 1/4000 at H = 1 is 4000 e⁻ there; read noise of 10 e⁻; of the top's electrons each DN has its part."""
-    g = np.log(np.maximum(np.arange(256.0) - 16.0, 0.5) / 112.0)
-    noise = LogNoise(1.0 / 4000.0, (10.0 / 4000.0) ** 2, 0.3, 0.0)
-    found = sensor_noise(noise, curve(g, valid=(20, 240)), 16.0)
-    assert found.full_well_e == pytest.approx(4000.0 * 224.0 / 112.0)
-    assert found.read_noise_e == pytest.approx(10.0)
-    assert found.conversion_gain_e_per_dn == pytest.approx(4000.0 / 112.0)
-    assert found.post_curve_dn2 == 0.3
-    endless = sensor_noise(replace(noise, shot=0.0), curve(g, valid=(20, 240)), 16.0)
-    assert endless.full_well_e == pytest.approx(1e7)
 
 
 def test_a_curve_is_held_at_its_ends_and_moved_by_half_its_noise_at_most():

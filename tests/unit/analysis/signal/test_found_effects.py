@@ -50,27 +50,13 @@ def test_a_bent_signal_comes_back_straight(a2, a3, light):
     assert straightened(seen, found, 2.0) == pytest.approx(true, rel=1e-4, abs=1e-9)
 
 
-def test_the_reading_of_a_warm_sensor_is_that_of_a_cool_one():
-    """0.1 %/K makes 35 °C see 1.01 and 15 °C 0.99 of 25 °C: what is read at 35 is multiplied by 0.99/1.01."""
+def test_frames_are_corrected_for_what_was_found():
+    """A warm sensor reads as a cool one; a bracket stays one."""
     slope, bent = FoundEffects(temperature_slope_per_k=0.001), FoundEffects(temperature_bend_per_k2=1e-4)
     assert temperature_factor(slope, 35.0, 15.0) == pytest.approx(0.99 / 1.01)
     assert temperature_factor(slope, 25.0, 35.0) == pytest.approx(1.01)
     assert temperature_factor(bent, 35.0, 25.0) == pytest.approx(1.0 / 1.01)
     assert [temperature_factor(slope, *pair) for pair in ((None, 25.0), (25.0, None))] == [1.0, 1.0]
-
-
-@given(st.floats(0.0, 0.2), st.floats(0.1, 10.0), st.floats(0.0, 10.0), st.floats(0.0, 2.0))
-def test_glare_is_taken_off_patch_and_scale(glare, light, mean, at_calibration):
-    """A patch seen as (1 − g)·L + g·M, by a scale got on a source of 1 seen likewise, is L."""
-    seen = (1.0 - glare) * light + glare * mean
-    source_seen = (1.0 - glare) / (1.0 - glare * at_calibration)  # m₀ = (1 − g)·1 + g·S₀·m₀
-    scale = 1.0 / source_seen
-    gain, of_surround = without_glare(glare, at_calibration)
-    assert gain * seen * scale - of_surround * mean * scale == pytest.approx(light, rel=1e-9)
-
-
-def test_frames_carry_the_corrected_settings_and_a_bracket_stays_one():
-    """Light and dark frames alike; where nothing was found they are the same objects."""
     frames = [
         Frame(np.zeros((2, 2), np.uint16), 12, FrameSettings(t, shutter=s))
         for t, s in ((1.0, "open"), (2.0, "open"), (2.0, "closed"))
@@ -81,3 +67,13 @@ def test_frames_carry_the_corrected_settings_and_a_bracket_stays_one():
     assert (shown.origin, shown.light[0].settings.black_level_dn) == ("here", 64.0)
     assert [one.settings.exposure_s for one in corrected_frames(iter(frames), found, 64.0)] == [1.5, 2.5, 2.5]
     assert corrected_frames(bracket, FoundEffects(), 64.0) is bracket
+
+
+@given(st.floats(0.0, 0.2), st.floats(0.1, 10.0), st.floats(0.0, 10.0), st.floats(0.0, 2.0))
+def test_glare_is_taken_off_patch_and_scale(glare, light, mean, at_calibration):
+    """A patch seen as (1 − g)·L + g·M, by a scale got on a source of 1 seen likewise, is L."""
+    seen = (1.0 - glare) * light + glare * mean
+    source_seen = (1.0 - glare) / (1.0 - glare * at_calibration)  # m₀ = (1 − g)·1 + g·S₀·m₀
+    scale = 1.0 / source_seen
+    gain, of_surround = without_glare(glare, at_calibration)
+    assert gain * seen * scale - of_surround * mean * scale == pytest.approx(light, rel=1e-9)

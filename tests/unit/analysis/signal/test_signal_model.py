@@ -125,6 +125,7 @@ def dark_frame(number, exposure_s, gain_db=0.0, size=10):
 LIGHT, DARK = (FrameSettings(0.1, temperature_c=25.0, shutter=one) for one in ("open", "closed"))
 WARMTH = math.log(2.0) / 7.0 * 0.5 / math.sqrt(6.0)  # of dark signal, by two thermometers in steps of 0.5 K
 DOUBT = BlackLevel(dn=BLACK, u_dn=0.5, dark_u_rel=0.4)
+UNKNOWN_BLACK = BlackLevel(dn=0.0, u_dn=0.5, dark_u_rel=0.4)
 
 
 def test_dark_frames_of_the_exposure_show_the_dark_signal():
@@ -201,28 +202,51 @@ def test_what_two_codes_leave_open_is_how_far_their_mean_is_from_midway(share):
 def test_long_dark_frames_correct_the_black_level_and_widen_no_stated_one():
     """One at another exposure corrects it; a stated one keeps its u."""
     other = dark_frame(110, 0.2)  # modelled 5 DN: the offset is 5
-    (level,) = dark_levels([LIGHT], [other], LINEAR, DOUBT)
+    (level,) = dark_levels([LIGHT], [other], LINEAR, UNKNOWN_BLACK)
     assert level.signal == pytest.approx(2.5 + 5.0)
     noise = math.sqrt(float(LINEAR.variance(0.0, other.settings)) / 100)
     u = math.hypot(noise, 0.4 * 2.5, WARMTH * 5.0)
     assert (level.u_independent, level.u_common) == (0.0, pytest.approx(u))
+
+
+@pytest.mark.parametrize("exposure_s", [0.1, 0.4])
+def test_a_dark_frame_of_another_exposure_and_a_black_level_are_a_straight_line_over_time(exposure_s):
+    """10 DN after 0.2 s, and 0 ± 0.5 at zero, are 20 after 0.4 s; u is extrapolated: −1 of black, 2 of the frame."""
+    other, here = dark_frame(110, 0.2), replace(LIGHT, exposure_s=exposure_s)
+    (level,) = dark_levels([here], [other], LINEAR, DOUBT)
+    share = exposure_s / 0.2
+    assert level.signal == pytest.approx(10.0 * share)
+    noise = math.sqrt((float(LINEAR.variance(0.0, other.settings)) + (10.0 - 5.0) / 2.0) / 100)
+    u = math.hypot(share * noise, (1.0 - share) * 0.5, WARMTH * 10.0 * share)
+    assert level.u_common == pytest.approx(u, rel=0.02)
+
+
+def test_a_long_dark_frame_does_not_widen_a_black_level_that_is_stated():
+    """After 30 s 750 DN show the dark current: after 0.1 s it is 2.5 DN, and the black level's ± 0.5 DN remain."""
     stated = replace(LINEAR, camera=LINEAR.camera.model_copy(update={"black_level_dn": BLACK}))
     (level,) = dark_levels([LIGHT], [dark_frame(850, 30.0)], stated, DOUBT)
-    assert (level.signal, level.u_common) == (pytest.approx(2.5), pytest.approx(math.hypot(0.5, 0.4 * 2.5)))
-    (unknown,) = dark_levels([LIGHT], [dark_frame(850, 30.0)], LINEAR, DOUBT)
+    assert (level.signal, level.u_common) == (pytest.approx(2.5), pytest.approx(0.5, rel=0.01))
+    (unknown,) = dark_levels([LIGHT], [dark_frame(850, 30.0)], LINEAR, UNKNOWN_BLACK)
     assert unknown.u_common > 100.0
 
 
-def test_other_dark_frames_show_the_dark_signal_of_the_light_s():
-    """Two exposures by their line, warmer ones by their doubling."""
+def test_dark_frames_of_two_other_exposures_show_black_level_and_dark_current():
+    """10 DN after 0.2 s and 14 after 0.4 are 8 after 0.1, whatever the model: 3/2 of one less 1/2 of the other.
+
+    They contradict a black level of 0 ± 0.5 DN, which then takes no part.
+    """
     frames = [dark_frame(110, 0.2), dark_frame(114, 0.4)]
     (level,) = dark_levels([LIGHT], frames, LINEAR, DOUBT)
-    noise = math.sqrt(sum(float(LINEAR.variance(0.0, one.settings)) / 100 for one in frames) / 2.0)
+    nearer, farther = (math.sqrt(float(LINEAR.variance(0.0, one.settings)) / 100) for one in frames)
     assert level.signal == pytest.approx(8.0)
-    assert level.u_common == pytest.approx(math.hypot(noise * math.sqrt(2.5), WARMTH * 2.0))
+    assert level.u_common == pytest.approx(math.hypot(1.5 * nearer, 0.5 * farther, WARMTH * 2.0))
+
+
+def test_warmer_dark_frames_are_scaled_to_the_light_frame():
+    """14 K warmer are two doublings of 7 K: of 4 and 16 DN above a black of 2 a quarter is there in the light frame."""
     frames = [replace(dark_frame(dn, t), settings=replace(dark_frame(dn, t).settings, temperature_c=44.0))
               for dn, t in ((106, 0.1), (118, 0.4))]  # fmt: skip
-    (level,) = dark_levels([replace(LIGHT, temperature_c=30.0)], frames, LINEAR, DOUBT)
+    (level,) = dark_levels([replace(LIGHT, temperature_c=30.0)], frames, LINEAR, UNKNOWN_BLACK)
     assert level.signal == pytest.approx(2.0 + 4.0 / 4.0)
 
 

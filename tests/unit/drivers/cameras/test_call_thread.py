@@ -61,7 +61,7 @@ def test_result_and_error_come_back() -> None:
 
 
 def test_call_to_a_camera_that_is_gone_is_left_behind(stuck: Stuck) -> None:
-    """The caller gets DeviceLost while the library still waits, and no later call waits behind it."""
+    """The caller gets DeviceLost while the library still waits; none waits behind it, and its features know of it."""
     thread = CallThread("camera W1", gone, patience_s=0.01)
     with pytest.raises(DeviceLost, match="camera W1 stopped answering"):
         thread.run(stuck)
@@ -71,6 +71,10 @@ def test_call_to_a_camera_that_is_gone_is_left_behind(stuck: Stuck) -> None:
     with pytest.raises(DeviceLost):
         thread.run(asked.append, 1)
     assert asked == []
+    features = FeatureAccess(None, "camera W1", OSError, CallThread("camera W1", gone, patience_s=0.01))
+    with pytest.raises(DeviceLost):
+        features.call(stuck)
+    assert features.lost.is_set()
 
 
 def test_slow_call_to_a_camera_that_is_there_is_waited_for(stuck: Stuck) -> None:
@@ -108,14 +112,6 @@ def test_failed_call_keeps_nothing_alive() -> None:
     finally:
         gc.enable()
         thread.close()
-
-
-def test_camera_left_behind_is_known_as_lost(stuck: Stuck) -> None:
-    """The features of a camera whose call was left behind note that it is gone, so that it is not asked again."""
-    features = FeatureAccess(None, "camera W1", OSError, CallThread("camera W1", gone, patience_s=0.01))
-    with pytest.raises(DeviceLost):
-        features.call(stuck)
-    assert features.lost.is_set()
 
 
 def test_a_call_that_outlasts_its_deadline_is_left_behind(stuck: Stuck) -> None:

@@ -181,7 +181,7 @@ def test_a_program_opens_a_camera_once(which, link, request):
 
 
 def test_a_pis_frame_says_what_it_was_taken_with(pi):
-    """Exposure in µs and gain as a factor become s and dB, the black level comes from 16 bits to 12."""
+    """µs and a factor become s and dB, black 12 bits; frames of the settings before are known by their metadata."""
     _, camera = pi
     with camera:
         assert camera.capabilities.exposure_s == pytest.approx((31e-6, 200.0))
@@ -193,10 +193,6 @@ def test_a_pis_frame_says_what_it_was_taken_with(pi):
     assert frame.settings.gain_db == pytest.approx(6.0206, abs=1e-6)
     assert (frame.bit_depth, frame.settings.temperature_c) == (12, 40.0)
     assert int(frame.dn[0, 0]) == 256 + 400
-
-
-def test_a_pis_frames_of_the_settings_before_are_recognised_by_their_metadata(pi):
-    """However many are in flight, the first that is taken has the exposure in force."""
     device, camera = pi
     device.stale = 7
     with camera:
@@ -230,7 +226,7 @@ def test_a_shutters_entry_means_the_stop_behind_it(text, seconds):
 
 
 def test_a_tethered_camera_gives_the_green_pixels_of_its_raw_file(body):
-    """Bits and black level are the file's, the f-number the camera's, the exposure the stop behind its dial."""
+    """Green pixels, bits and black of the raw file, the stop behind the dial; a frame of a region has no file."""
     device, camera = body
     with camera:
         in_force = camera.configure(CameraSettings(0.0041, gain_db=6.0, black_level_dn=512, pixel_format="Mono14"))
@@ -244,25 +240,26 @@ def test_a_tethered_camera_gives_the_green_pixels_of_its_raw_file(body):
     assert int(frame.dn[0, 0]) == round(512 + DN_PER_S * 2.0**-8 * 2)
     assert frame.settings.f_number == pytest.approx(4.0)
     assert frame.settings.black_level_dn == 512
-
-
-def test_a_tethered_camera_that_sends_jpeg_is_refused(body):
-    """A developed picture is no measurement: the message says what to choose."""
-    device, camera = body
-    device.settings["imageformat"] = ("Large Fine JPEG", ["Large Fine JPEG", "Small JPEG"])
-    with pytest.raises(DeviceError, match=r"sends JPEG .* set its quality to raw"):
-        camera.open()
-    assert not device.is_open
+    with body[1] as camera:
+        camera.configure(CameraSettings(0.004, 0.0, 512, "Mono14", roi=Roi(2, 2, 8, 8)))
+        assert camera.capture(1)[0].file is None
+        camera.configure(CameraSettings(0.004, 0.0, 512, "Mono14"))
+        assert camera.capture(1)[0].file is not None
 
 
 def test_a_mode_dial_that_cannot_be_turned_by_wire_is_a_fault(body):
-    """A camera that chooses the exposure itself is reported, with the cure."""
+    """A camera that chooses the exposure itself is a fault, with the cure; one that sends JPEG is refused."""
     device, camera = body
     device.settings["autoexposuremode"] = ("AV", [])
     with camera:
         (found,) = [f for f in camera.findings() if f.check == "setting autoexposuremode"]
     assert found.health is Health.FAULT
     assert "chooses the exposure itself" in found.message
+    device, camera = body
+    device.settings["imageformat"] = ("Large Fine JPEG", ["Large Fine JPEG", "Small JPEG"])
+    with pytest.raises(DeviceError, match=r"sends JPEG .* set its quality to raw"):
+        camera.open()
+    assert not device.is_open
 
 
 def test_a_bracket_of_a_tethered_camera_is_a_capture_set_of_its_raw_files(body, monkeypatch, tmp_path):
@@ -292,15 +289,6 @@ def test_a_bracket_of_a_tethered_camera_is_a_capture_set_of_its_raw_files(body, 
     # Read again, every frame is the green pixels of its file: black level and signal of its own time.
     levels = [int(frame.dn[5, 7]) for frame in CaptureSet.read(folder).frames()]
     assert levels == [round(512 + DN_PER_S * 2.0**exponent) for exponent in (-10, -9, -8, -7, -6)]
-
-
-def test_a_region_of_a_tethered_camera_is_kept_as_its_numbers(body):
-    """The raw file holds the whole sensor: a frame of a region has none, so that file and frame never disagree."""
-    with body[1] as camera:
-        camera.configure(CameraSettings(0.004, 0.0, 512, "Mono14", roi=Roi(2, 2, 8, 8)))
-        assert camera.capture(1)[0].file is None
-        camera.configure(CameraSettings(0.004, 0.0, 512, "Mono14"))
-        assert camera.capture(1)[0].file is not None
 
 
 def test_a_bench_file_names_such_a_camera(webcam, monkeypatch, tmp_path):

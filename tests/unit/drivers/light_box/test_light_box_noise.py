@@ -41,7 +41,7 @@ def test_other_damage_is_survived_too(faults):
 
 
 def test_restart_is_noticed_where_its_announcement_is_lost():
-    """A restart whose boot line never arrives is seen from the box's clock running backwards."""
+    """By the clock running backwards, where no boot line arrives; the account holds only what was given before."""
     twin, line, box = bench(15)
     box.open()
     line.wait(0.5)
@@ -49,10 +49,6 @@ def test_restart_is_noticed_where_its_announcement_is_lost():
     twin.emitted.clear()
     with pytest.raises(DeviceLost, match="restarted"):
         box.tend()
-
-
-def test_light_that_ended_with_the_session_is_not_counted_on():
-    """After a restart the retinal account holds only what was given, not a light that goes on for ever."""
     optics = {name: ChannelOptics(453.0, 22.0, 1.5, 8.0) for name in CHANNELS}
     twin, line, box = bench(19)
     box.ledger.optics = optics

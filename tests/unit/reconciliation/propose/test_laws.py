@@ -115,13 +115,21 @@ def test_a_form_has_the_value_worked_out_by_hand(form, covariate, constants, val
     assert float(found) == pytest.approx(expected, abs=1e-12)
 
 
-def test_forms_and_constants_of_the_grammar_are_known():
-    """Each form has a figure by hand, each constant its unit."""
+def test_the_grammar_is_data_and_its_forms_are_known():
+    """A thousand laws load no module; each form has a figure, each constant a unit, a spot its place."""
     assert {row[0] for row in WORKED} == set(FORMS)
     law = Law("charge", (Term("power", "exposure_s", {"reference": 1.0}, {"power": 0.5}),
                          Term("decay", "since_frame_s", {}, {"tau": 3.0})))  # fmt: skip
     units = {entry.name: entry.unit for entry in type(effect_of(law, 1.0)).parameters()}
     assert units == {"amplitude_e": "e-", "power_exposure": "1", "tau_rest_s": "s"}
+    spot = Law("charge_rate", (Term("spot", "image_x", {}, {"at_x": 0.5, "at_y": 0.25, "width": 0.1}),))
+    effect = effect_of(spot, 8.0)
+    assert effect.mean(np.array([0.0]), at(100.0, 50.0))[0] == pytest.approx(4.0)
+    assert effect.mean(np.array([0.0]), at(120.0, 50.0))[0] == pytest.approx(4.0 * math.exp(-0.5))
+    modules = set(sys.modules)
+    for k in range(1000):
+        effect_of(Law("digital", (Term("step", "exposure_s", {}, {"at": 0.1 + k}),)), 2.0)
+    assert set(sys.modules) == modules
 
 
 @pytest.mark.parametrize("link", LINKS)
@@ -130,14 +138,6 @@ def test_a_link_scales_what_it_adds_as_its_stage_does(link):
     amplitude = 0.002 if LINKS[link].unit in ("1", "s") else 2.0
     found = effect_of(Law(link), amplitude).mean(np.array([SIGNAL]), at())
     assert found[0] == pytest.approx(ACTS[link])
-
-
-def test_a_spot_lies_where_it_was_put():
-    """Columns and rows count in shares of the longer side."""
-    spot = Law("charge_rate", (Term("spot", "image_x", {}, {"at_x": 0.5, "at_y": 0.25, "width": 0.1}),))
-    effect = effect_of(spot, 8.0)
-    assert effect.mean(np.array([0.0]), at(100.0, 50.0))[0] == pytest.approx(4.0)
-    assert effect.mean(np.array([0.0]), at(120.0, 50.0))[0] == pytest.approx(4.0 * math.exp(-0.5))
 
 
 def test_the_first_frame_counts_by_its_share():
@@ -374,11 +374,3 @@ def test_a_formula_holds_nothing_but_the_grammar(text):
     """What is no operator or function of the grammar is refused; it is not run."""
     with pytest.raises((ValueError, KeyError)):
         formula(text)({"signal": np.array([1.0])})
-
-
-def test_laws_are_data():
-    """A thousand laws load no module."""
-    modules = set(sys.modules)
-    for k in range(1000):
-        effect_of(Law("digital", (Term("step", "exposure_s", {}, {"at": 0.1 + k}),)), 2.0)
-    assert set(sys.modules) == modules

@@ -261,8 +261,8 @@ def test_taps_that_are_no_quarters_have_a_size_each() -> None:
     assert fx.TapGain.covers(replace(context, camera=CAMERA.model_copy(update={"taps": halves}))) == ()
 
 
-def test_leaks_that_differ_are_drawn_with_the_spread_that_is_stated() -> None:
-    """30 e⁻/s for 2 s at the stated temperature: 60 e⁻ of scatter and no mean, in the same pixels each time."""
+def test_leaks_that_differ_are_drawn_as_stated_and_act_on_all_that_leaks() -> None:
+    """60 e⁻ of scatter in the same pixels; a dark current added later is in front."""
     effect = fx.DarkCurrentNonuniformity(sigma_e_per_s=30.0, reference_C=25.0, shape=0.4)
     context = replace(at(2.0, temperature_c=25.0), geometry=FrameGeometry.of_image(400, 300))
     drawn = np.asarray(effect.sample(np.full((300, 400), 1e4), context, np.random.default_rng(1))) - 1e4
@@ -270,6 +270,18 @@ def test_leaks_that_differ_are_drawn_with_the_spread_that_is_stated() -> None:
     assert drawn.mean() == pytest.approx(0.0, abs=4 * 60.0 / math.sqrt(drawn.size))
     again = np.asarray(effect.sample(np.full((300, 400), 1e4), context, np.random.default_rng(2))) - 1e4
     np.testing.assert_array_equal(again, drawn)
+    figures = {"pixel_pitch_um": 4.5, "conversion_gain_e_per_dn": 2.0, "read_noise_e": 3.0, "quantum_efficiency": 0.5}
+    camera = CameraDescription(bit_depth=12, full_well_e=8000.0, **figures)
+    model = CameraModel.ideal(camera, LensDescription())
+    pair = (fx.DarkCurrent(4.0), fx.DarkCurrentNonuniformity(2.0))
+    for order in (pair, pair[::-1]):
+        chain = model.with_effect(order[0]).with_effect(order[1]).effects
+        names = [effect.name for effect in chain]
+        assert names.count("dark_current") == 2
+        assert names[names.index("shot_noise") - 2 : names.index("shot_noise")] == [
+            "dark_current",
+            "dark_current_nonuniformity",
+        ]
 
 
 def context_of(settings):
@@ -378,16 +390,6 @@ def test_moments_are_those_of_rounded_samples(mean: float, noise: float, pattern
     assert noise < 0.7 or after.mean[0] == mean
 
 
-def test_hardly_any_noise_is_swallowed_by_a_code() -> None:
-    """A common change far from a border does not show; less than no noise is none."""
-    assert rounded(_moments(60.0, 0.06, 0.0)).common_variance[0] < 1e-12
-    assert rounded(_moments(60.5, 0.06, 0.0)).common_variance[0] > 1e-6
-    mean = np.array([60.3, 7.8, 60.3, 7.8])
-    average, variance, _ = rounded_normal(mean, np.array([-4.0, -1e-9, 0.0, 0.0]))
-    np.testing.assert_allclose(average, [60.0, 8.0, 60.0, 8.0])
-    np.testing.assert_allclose(variance, 0.0, atol=1e-9)
-
-
 @pytest.mark.parametrize(("phase", "noise"), [(0.0, 0.31), (0.5, 0.31), (0.2, 0.4), (0.0, 0.7)])
 def test_excess_kurtosis_is_that_of_rounded_samples(phase: float, noise: float) -> None:
     """Noise of 0.31 DN at the middle of a code has 6, at its border −2; from 0.6 DN on nothing is asked."""
@@ -460,8 +462,8 @@ def test_what_lines_share_spreads_pixels_over_the_codes(mean: float, columns: fl
     assert float(after.mean[0, 0, 0]) == pytest.approx(of_line.mean(), abs=4.5 * u_mean)
 
 
-def test_many_signals_are_rounded_as_each_by_itself() -> None:
-    """Coarse ones next to fine ones in one array come out as they do alone, whatever stands next to them."""
+def test_signals_are_rounded_as_each_by_itself() -> None:
+    """Coarse ones next to fine ones; hardly any noise is swallowed by a code, less than none is none."""
     together = rounded(
         Moments(*(np.array(column) for column in zip(*((m, n**2, p**2, 1e-6) for m, n, p in CASES), strict=True)))
     )
@@ -470,6 +472,12 @@ def test_many_signals_are_rounded_as_each_by_itself() -> None:
         for field in ("mean", "variance", "spatial_variance", "common_variance"):
             values = np.broadcast_to(getattr(together, field), (len(CASES),))
             assert values[number] == relatively(float(np.ravel(getattr(alone, field))[0]), rel=1e-9), (field, case)
+    assert rounded(_moments(60.0, 0.06, 0.0)).common_variance[0] < 1e-12
+    assert rounded(_moments(60.5, 0.06, 0.0)).common_variance[0] > 1e-6
+    mean = np.array([60.3, 7.8, 60.3, 7.8])
+    average, variance, _ = rounded_normal(mean, np.array([-4.0, -1e-9, 0.0, 0.0]))
+    np.testing.assert_allclose(average, [60.0, 8.0, 60.0, 8.0])
+    np.testing.assert_allclose(variance, 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -583,8 +591,8 @@ def test_a_lamp_jumps_at_its_moment_between_captures():
     assert not fx.LampStep.usable(_series(np.arange(7.0)))
 
 
-def test_an_event_lifts_black_and_is_forgotten():
-    """6 DN at it, 6/e a time constant later, in the frames of a series that lie behind it."""
+def test_events_are_forgotten_and_looked_for_in_front_of_captures():
+    """6/e a time constant later; of eight captures in front of the fourth and fifth."""
     lift = fx.EventOffset(offset_dn=6.0, tau_s=20.0, event_s=100.0).offset(_series(np.array([0.0, 99.9, 100.0, 120.0])))
     assert np.asarray(lift) == pytest.approx([0.0, 0.0, 6.0, 6.0 / math.e])
     times_s = np.array([80.0, 90.0, 100.0, 110.0])[None, None, None]
@@ -595,10 +603,6 @@ def test_an_event_lifts_black_and_is_forgotten():
     assert float(np.ravel(effect.offset(series))[0]) == pytest.approx(both / 4)
     after = effect.moments(TileMoments.exactly(np.full((1, 1, 4), 100.0)), series)
     assert float(np.ravel(after.first_excess)[0]) == pytest.approx(-both / 3)
-
-
-def test_an_event_is_looked_for_in_front_of_captures():
-    """Of eight captures 10 s apart it may lie in front of the fourth and fifth, short and long, up and down."""
     starts = fx.EventOffset.starts(_series(10.0 * np.arange(8)))
     tried = {(s.event_s, s.tau_s, s.offset_dn) for s in starts}
     assert tried == {(at, tau, size) for at in (30.0, 40.0) for tau in (30.0, 200.0) for size in (1.0, -1.0)}
@@ -679,22 +683,6 @@ def test_leaks_below_nothing_and_those_left_out_move_the_mean():
     )  # left out where it shows most, everywhere
     left = np.ravel(effect.spatial_variance(np.full((2, 1, 1), 1000.0), series))
     assert left == pytest.approx([kept.var(), 0.01 * kept.var()], rel=0.01)
-
-
-def test_leaks_that_differ_act_on_all_that_leaks():
-    """A dark current that is added behind them in time still stands in front of them in the chain."""
-    figures = {"pixel_pitch_um": 4.5, "conversion_gain_e_per_dn": 2.0, "read_noise_e": 3.0, "quantum_efficiency": 0.5}
-    camera = CameraDescription(bit_depth=12, full_well_e=8000.0, **figures)
-    model = CameraModel.ideal(camera, LensDescription())
-    pair = (fx.DarkCurrent(4.0), fx.DarkCurrentNonuniformity(2.0))
-    for order in (pair, pair[::-1]):
-        chain = model.with_effect(order[0]).with_effect(order[1]).effects
-        names = [effect.name for effect in chain]
-        assert names.count("dark_current") == 2
-        assert names[names.index("shot_noise") - 2 : names.index("shot_noise")] == [
-            "dark_current",
-            "dark_current_nonuniformity",
-        ]
 
 
 def test_a_line_settles_by_a_quick_and_a_slow_part():
