@@ -113,8 +113,9 @@ def find_white_levels(frames: Iterable[Frame], parts: Sequence[Patch] = ()) -> d
     for one in ranked:  # an evenly lit frame does not show its black level; a shorter exposure comes nearer to it
         alike = (other for other in ranked if other.settings.gain_db == one.settings.gain_db)
         one.floor_dn = min(other.floor_dn for other in alike)
-    codes = np.flatnonzero(sum(one.counts for one in ranked))
-    step = code_step(codes)
+    counts = np.sum([one.counts for one in ranked], axis=0)
+    codes = np.flatnonzero(counts)
+    step = code_step(codes, counts[codes])
     # Padded codes end below full scale.
     highest = ranked[0].full_scale_dn - int(ranked[0].full_scale_dn - codes[-1]) % step
     piles = {gain: _pile_of_gain(ranked, gain, step) for gain in gains}

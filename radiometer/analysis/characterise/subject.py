@@ -367,16 +367,18 @@ def _of_descriptor(path: Path, region: Patch | None) -> Subject:
 def _with_code_step(
     camera: CameraDescription, groups: Sequence[FrameGroup]
 ) -> tuple[CameraDescription, tuple[str, ...]]:
-    """Return the camera with the distance between codes that its frames show where it states none, and a note."""
+    """Return the camera with the distance between codes that its frames show, and a note where it states another."""
     shown = [one for one in groups if not one.settings.is_dark] or list(groups)
-    if camera.code_step_dn is not None or not shown:
+    if not shown:
         return camera, ()
     places = np.unique(np.linspace(0, len(shown) - 1, _FRAMES_OF_CODES).astype(int))
     first = (next(replace(shown[k], files=shown[k].files[:1]).read(camera.full_scale_dn)) for k in places)
-    step_dn = code_step_of(dn.ravel()[:: max(1, dn.size // _PIXELS_OF_CODES)] for dn in first)
-    if step_dn == 1:
+    some, stated = (dn.ravel()[:: max(1, dn.size // _PIXELS_OF_CODES)] for dn in first), camera.code_step_dn
+    step_dn = code_step_of(some, stated)
+    if step_dn == (stated or 1):
         return camera, ()
-    note = f"the codes are {step_dn} DN apart, though camera.code_step_dn is not stated: rounding counts by that step"
+    statement = "is not stated" if stated is None else f"states {stated}"
+    note = f"the codes are {step_dn} DN apart, though camera.code_step_dn {statement}: rounding counts by that step"
     return camera.model_copy(update={"code_step_dn": step_dn}), (note,)
 
 

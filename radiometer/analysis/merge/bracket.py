@@ -41,7 +41,7 @@ from radiometer.analysis.signal.model import (
 from radiometer.analysis.signal.situation import flat_field_for, situation_of
 from radiometer.analysis.signal.taps import ReadOut, doubt_of_taps
 from radiometer.data import Bracket, FoundEffects, Frame, PixelMask, Provenance, RadianceMap
-from radiometer.data.frame import Copies
+from radiometer.data.frame import Copies, DigitalNumbers
 from radiometer.data.reading import RADIANCE_UNIT, RELATIVE_UNIT
 from radiometer.data.setup import Setup
 from radiometer.data.white_level import white_level_notes
@@ -60,6 +60,7 @@ _ROUNDED_DN = 1.0  # the standard uncertainty of a black level counts as one of 
 _NOISE: Final = frozenset({"conversion_gain_e_per_dn", "read_noise_e"})
 _PIXELS_OF_NOISE: Final = 4096  # evenly over the picture: noise is then known to some per cent
 _PIXELS_OF_LIGHT: Final = 1024  # evenly over the picture: the median is then known to a 25th of a pixel's noise
+_PIXELS_OF_CODES: Final = 512  # of each frame, evenly: more than the codes that show how far apart they are
 _BRIGHT_BLOCKS: Final = 256  # of 8 × 8 pixels, of which four count: a lamp may be small on a dark surround
 _LEAST_LIT: Final = 16  # pixels that say anything of a whole frame
 _NEARLY_AS_CLEAR: Final = 4.0  # in the variance of their noise: a quarter as bright
@@ -242,7 +243,7 @@ class StreamingMerge:
         self._wander_rel = 0.0  # by what frames differ as a whole
         self._terms: list[FrameTerms] = []
         self._dark: list[Frame] = []
-        self._codes = np.empty(0, np.uint16)  # digital numbers that occur in some pixels of all frames so far
+        self._codes: list[DigitalNumbers] = []  # digital numbers of some pixels of all frames so far
         self._shape: tuple[int, int] | None = None
         self._taps: ReadOut | None = None
         self._sums: MergeSums | None = None
@@ -532,8 +533,8 @@ class StreamingMerge:
     def _find_code_step(self, few: Frame) -> None:
         """Find the distance between codes from the pixels so far: a short exposure alone may hold one or two codes."""
         seen = [few, *(some_lit_pixels(one) for one in self._dark if not self._terms)]
-        self._codes = np.unique(np.concatenate([self._codes, *(one.dn.ravel() for one in seen)]))
-        model = with_found_code_step(self._situation.model, (self._codes,))
+        self._codes += [one.dn.ravel()[:: max(1, one.dn.size // _PIXELS_OF_CODES)].copy() for one in seen]
+        model = with_found_code_step(self._situation.model, self._codes)
         self._situation = replace(self._situation, model=model)
 
     def _refuse_foreign_darks(self, frame: Frame, terms: FrameTerms) -> None:

@@ -458,15 +458,13 @@ def _u_of_rounding(settings: FrameSettings, frames: Sequence[Frame], model: Sign
 
 
 def with_found_code_step(model: SignalModel, light: Iterable[DigitalNumbers]) -> SignalModel:
-    """Return a model with the distance between the numbers that frames hold, where nothing states it.
+    """Return a model with the distance between the numbers that frames hold, where they do not show the stated one.
 
     Args:
         light: Digital numbers of pixels of frames, light ones among them; any shape.
     """
-    if model.camera.code_step_dn is not None:
-        return model
-    step_dn = code_step_of(light)
-    if step_dn == 1:
+    step_dn = code_step_of(light, model.camera.code_step_dn)
+    if step_dn == (model.camera.code_step_dn or 1):
         return model
     return replace(model, camera=model.camera.model_copy(update={"code_step_dn": step_dn}))
 
@@ -820,7 +818,7 @@ class PatchFrame:
     darkest: float = math.inf  # signal x of the darkest pixels of the whole picture, dark level not yet taken off
     u_black: float = 0.0  # standard uncertainty of the patch's signal x by the black level of its tap in this frame
     dark_variance: float = 0.0  # of a pixel's dark signal that was evened; frames of one exposure share it
-    codes: DigitalNumbers | None = None  # digital numbers that occur in the patch and over the whole picture
+    codes: DigitalNumbers | None = None  # digital numbers of some pixels over the whole picture
 
 
 def crop_frames(
@@ -941,7 +939,7 @@ def _crop(part: Frame, few_of_all: Frame, model: SignalModel, sound: NDArray[np.
         settings, dn, signal_of(part, model), max(most, clear_dn) < limit, max(most, clear_dn) < end, in_data,
         dn >= limit, sound, whole, whole_clipped, part.masked_dn, darkest_signal(few_of_all, model),
         slope * part.black_u_dn / math.sqrt(part.dn.shape[0]),
-        codes=np.union1d(dn, few_of_all.dn),
+        codes=few_of_all.dn,
     )  # fmt: skip
 
 

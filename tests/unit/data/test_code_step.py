@@ -37,6 +37,20 @@ def test_a_few_numbers_of_a_scene_are_no_step(codes):
     assert code_step_of([np.array(codes, np.uint16)]) == 1
 
 
+def test_a_few_pixels_that_are_none_of_the_converter_hide_no_step():
+    """A frame's number and time in the first pixels."""
+    codes = noisy(12, 2.0, 20_000) * 16
+    codes[:14] = np.arange(14) * 37 + 1
+    assert code_step_of([codes]) == 16
+
+
+@pytest.mark.parametrize(("step_dn", "stated", "used"), [(16, 4, 16), (1, 16, 1), (4, 16, 4), (16, 16, 16)])
+def test_a_stated_step_counts_unless_the_numbers_contradict_it(step_dn, stated, used):
+    """Codes on a wider lattice than stated, or off the stated one."""
+    assert code_step_of([noisy(12, 2.0) * step_dn], stated) == used
+    assert code_step_of([np.array([500, 500, 516])], stated) == stated  # two numbers contradict nothing
+
+
 def test_numbers_of_several_frames_count_together():
     """Neither frame has three numbers; both have, 16 DN apart."""
     frames = [np.array(codes, np.uint16) for codes in ([496, 512], [528, 544])]
