@@ -463,7 +463,8 @@ def with_found_code_step(model: SignalModel, light: Iterable[DigitalNumbers]) ->
     Args:
         light: Digital numbers of pixels of frames, light ones among them; any shape.
     """
-    step_dn = code_step_of(light, model.camera.code_step_dn)
+    some = (dn.ravel()[:: max(1, dn.size // _PIXELS_OF_THE_WHOLE)] for dn in light)
+    step_dn = code_step_of(some, model.camera.code_step_dn)
     if step_dn == (model.camera.code_step_dn or 1):
         return model
     return replace(model, camera=model.camera.model_copy(update={"code_step_dn": step_dn}))
