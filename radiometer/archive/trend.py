@@ -449,6 +449,7 @@ def _history(patch: str, quantity: str, rows: pd.DataFrame) -> Trend:
         "the time is before 1990 or in the future": ~rows["captured"].between(_EARLIEST_S, time.time() + 86_400.0),
         "saturated: the value is a lower bound": marks.str.contains(r"\bsaturated\b"),
         "below_noise: the value is an upper bound": marks.str.contains(r"\bbelow_noise\b"),
+        "the value or its uncertainty is no finite number": ~np.isfinite(rows[["value", "u"]]).all(axis=1),
     }
     if {"content_hash", "job"} <= set(rows):
         reasons["copies of a capture set"] = rows["content_hash"].notna() & rows.duplicated(["content_hash", "job"])

@@ -198,6 +198,11 @@ class _Work:
         line = linearity(self.at.saturation.rising(self.at.steps), self.at.saturation.signal_dn)
         if line is not None:
             figures |= {"LE_min": line.LE_min, "LE_max": line.LE_max}
+            if line.unsteady_light:
+                notes.append(
+                    f"light differs by {line.unsteady_light:.2g} % between the frames of a step, more than noise: "
+                    "LE_min and LE_max contain it, and their uncertainty counts it; use steadier light"
+                )
         self._warn(notes)
         return Characterisation(
             believed=camera,

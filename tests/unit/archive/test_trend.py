@@ -324,7 +324,8 @@ def test_changes_of_the_settings_and_flags_come_from_the_table(tmp_path):
 @pytest.mark.parametrize(
     ("column", "entry", "reason"),
     [("captured", 0.0, "1990"), ("captured", 3.2e10, "future"), ("flags", "few_frames saturated", "lower bound"),
-     ("flags", "below_noise", "upper bound"), ("content_hash", "0", "copies of a capture set")],
+     ("flags", "below_noise", "upper bound"), ("content_hash", "0", "copies of a capture set"),
+     ("u", float("nan"), "no finite number")],
 )  # fmt: skip
 def test_rows_that_show_nothing_take_no_part_and_are_counted(tmp_path, column, entry, reason):
     """A clock that was wrong once hides no drift; bounds that fall are none, and another unit is a history apart."""
@@ -335,7 +336,7 @@ def test_rows_that_show_nothing_take_no_part_and_are_counted(tmp_path, column, e
         "unit": "W sr-1 m-2", "status": "ok", "flags": "", "job": "measure", "content_hash": weeks.astype(str),
     })  # fmt: skip
     hashes = "later " + rows["content_hash"]
-    bad = rows.assign(content_hash=hashes).tail(30).assign(**{column: entry, "value": 0.1})
+    bad = rows.assign(content_hash=hashes).tail(30).assign(**{"value": 0.1, column: entry})
     other = rows.assign(unit="relative", value=3.0)
     pd.concat([rows, bad, other]).assign(instrument="FLIR BFS 1").to_csv(tmp_path / "t.csv", index=False)
     found = {one.unit: one for one in read_histories(tmp_path / "t.csv", "radiance")}

@@ -305,6 +305,16 @@ def test_linearity_errors_are_relative_and_have_a_sign():
     assert [u for _, _, u in found.deviations] == pytest.approx(own)
     assert found.LE_max.u == found.LE_min.u == pytest.approx(own.max() * math.sqrt(2.0 * math.log(light.size)))
 
+    def scattering(share: float):
+        lit = [replace(one.bright, frame_variance_dn2=(share * one.signal_dn) ** 2) for one in steps]
+        return linearity([replace(one, bright=bright) for one, bright in zip(steps, lit, strict=True)], 6500.0)
+
+    assert (found.unsteady_light, scattering(1e-6).unsteady_light) == (0.0, 0.0)
+    assert scattering(0.02).unsteady_light == pytest.approx(2.0, rel=0.01)
+    # Of two frames each: the scatter over √2, times what the largest of as many steps is expected to be
+    expected_u = 2.0 / math.sqrt(2.0) * math.sqrt(2.0 * math.log(light.size))
+    assert scattering(0.02).LE_max.u == pytest.approx(expected_u, rel=0.1)
+
     def found(*lights: float):
         return linearity(steps_of(100.0, 1000.0 * (1.0 + np.arange(len(lights))), photons=lights), 6000.0)
 
