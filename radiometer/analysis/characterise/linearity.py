@@ -19,8 +19,8 @@ _FEWEST_STEPS = 4
 class Linearity:
     """Deviations from the line that fits best in relative terms.
 
-    The uncertainty of LE_min and LE_max is the largest deviation that noise, and light that differs between the frames
-    of a step, are expected to show among as many steps, √(2·ln n)·u: a linear camera shows values of that size.
+    u of a step holds noise, and light that differs between its frames. The uncertainty of LE_min and LE_max is the
+    largest deviation that u leads to among as many steps, √(2·ln n)·u: a linear camera shows values of that size.
     """
 
     LE_min: Quantity  # most negative deviation in %
