@@ -65,8 +65,15 @@ def dark_map(settings: FrameSettings, dark_frames: Sequence[Frame], model: Signa
 
 
 def _by_rates(settings: FrameSettings, dark_frames: Sequence[Frame], model: SignalModel, level: DarkLevel) -> DarkMap:
-    usable = [one for one in dark_frames if one.settings.gain_db == settings.gain_db and not is_cut_off(one)]
     here = seconds_at_reference(settings, model)
+    # Bias frames are too short for any dark current.
+    usable = [
+        one
+        for one in dark_frames
+        if one.settings.gain_db == settings.gain_db
+        and seconds_at_reference(one.settings, model) > 0.0
+        and not is_cut_off(one)
+    ]
     whole = never_full(usable, model)
     if not usable or not whole.any():
         return DarkMap(np.full(1, level.signal, np.float32))

@@ -503,7 +503,8 @@ def test_shares_are_judged_as_quadrants_and_give_one_label(lying):
     (together,) = find_wrong_labels(lying)
     for estimate in estimates:
         (label,) = estimate.details["wrong_labels"]
-        assert (label["frame"], label["ratio"]) == (together.frame, pytest.approx(together.ratio))
+        # The first curves differ, so the ratios agree within their uncertainty only.
+        assert (label["frame"], label["ratio"]) == (together.frame, pytest.approx(together.ratio, abs=together.u_ratio))
         found = np.exp(estimate.details["log_time_errors"][3])
         assert found == pytest.approx(together.ratio, abs=together.u_ratio)
 
