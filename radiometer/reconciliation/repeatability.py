@@ -388,7 +388,7 @@ def _wander(name: str, design: Design, seen: CaptureStatistics) -> float:
 
 # ---- the order of frames -------------------------------------------------------------------------------------------
 _PERIODS: Final = range(2, 13)  # frames
-_KNOWN_TO: Final = 0.01  # of a frame's light: darker frames tell nothing
+_KNOWN_TO: Final = 0.01  # of a frame's light: darker frames show nothing
 _FEWEST_FRAMES: Final = 12  # frames
 _RANK: Final = 1e-6
 
